@@ -1,0 +1,1 @@
+"""Warp kernels: arrays in, arrays out; no USD, no files."""
