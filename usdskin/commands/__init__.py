@@ -1,0 +1,1 @@
+"""The commands, one module per group. At import they load click and nothing heavy."""

@@ -1,0 +1,113 @@
+"""``schema-path`` and ``doctor``: what a machine and its other programs need to know."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import platform
+import sys
+from importlib import metadata
+from typing import Any
+
+import click
+
+from usdskin.commands.options import StepCommand
+from usdskin.commands.reporter import GlobalOptions, Reporter
+from usdskin.errors import EXIT_FINDINGS
+
+_REQUIRED = (
+    ("click", "click"),
+    ("numpy", "numpy"),
+    ("usd-core", "pxr.Usd"),
+    ("warp-lang", "warp"),
+    ("OpenEXR", "OpenEXR"),
+    ("OpenImageIO", "OpenImageIO"),
+    ("opencolorio", "PyOpenColorIO"),
+)
+"""Distribution and the module that shows whether it loads."""
+
+_OPTIONAL = (("open3d", "open3d"),)
+
+
+@click.command("schema-path", cls=StepCommand)
+@click.pass_obj
+def schema_path(options: GlobalOptions, /) -> None:
+    r"""Print the schema's folder, for other USD programs.
+
+    \b
+    Example:
+        PXR_PLUGINPATH_NAME=$(usdskin schema-path) usdview shot.usda
+    """
+    from usdskin import plugin_path
+
+    reporter = Reporter(options)
+    if reporter.json:
+        reporter.event("schema-path", path=plugin_path())
+    else:
+        click.echo(plugin_path())
+
+
+@click.command("doctor", cls=StepCommand)
+@click.pass_obj
+def doctor(options: GlobalOptions, /) -> int:
+    r"""Show versions and devices, and whether everything loads.
+
+    The exit code is 4 where something that is needed does not load.
+
+    \b
+    Example:
+        usdskin doctor
+    """
+    from usdskin import __version__
+
+    reporter = Reporter(options)
+    failed = False
+
+    def tell(what: str, value: str) -> None:
+        if reporter.json:
+            reporter.event("doctor", what=what, value=value)
+        else:
+            click.echo(f"{what + ':':14} {value}")
+
+    tell("usdskin", __version__)
+    tell("python", f"{platform.python_version()} ({sys.executable})")
+    tell("system", f"{platform.platform()}, {os.cpu_count()} CPUs")
+    for needed, packages in ((True, _REQUIRED), (False, _OPTIONAL)):
+        for distribution, module in packages:
+            state, loads = _state(distribution, module, needed)
+            failed |= needed and not loads
+            tell(distribution, state)
+    for what, value in _warp_facts():
+        tell(what, value)
+    return EXIT_FINDINGS if failed else 0
+
+
+def _state(distribution: str, module: str, needed: bool) -> tuple[str, bool]:
+    try:
+        version = metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return ("missing" if needed else "not installed (optional)"), False
+    if not needed:
+        return version, True  # a second's import; the command that uses it says what is missing
+    try:
+        importlib.import_module(module)
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        return f"{version}, does not load: {reason}", False
+    return version, True
+
+
+def _warp_facts() -> list[tuple[str, str]]:
+    try:
+        warp: Any = importlib.import_module("warp")
+    except ImportError:
+        return []
+    warp.config.quiet = True  # Warp up to 1.11 or so; log_level since
+    warp.config.log_level = logging.ERROR
+    warp.init()
+    facts = [("device", f"{device.alias} ({device.name})") for device in warp.get_devices()]
+    return [*facts, ("kernel cache", str(warp.config.kernel_cache_dir))]
+
+
+COMMANDS = (schema_path, doctor)

@@ -1,0 +1,331 @@
+"""An omnidirectional light as a tree of patches, with its small bright lamps taken out.
+
+Reads: the coefficients of a ``DomeLight``. Makes: ``Environment``, which the reflectance maps are
+integrated from. The tree is refined where the light is strong, so that its size follows the
+light's structure and not the picture's resolution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_PATCH_RADIUS = 0.3
+"""Largest chord radius of a leaf."""
+
+MAX_PATCH_CURVATURE = 6.0e-6
+"""Largest share of the flux times squared radius of a leaf: bounds what treating it as flat costs."""
+
+MAX_PATCH_MOMENT = 2.0e-4
+"""Largest share of the flux times radius of a leaf: bounds what treating it as uniform costs."""
+
+LAMP_SHARE = 4.0e-3
+"""A leaf with more of the total flux than this is a lamp, shaded by itself at every normal."""
+
+MAX_LAMPS = 64
+
+GLOSS_LAMP_SHARE = 0.02
+"""A lamp with more of the flux than this is reflected by itself, not prefiltered."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patches:
+    """Rectangular patches of the sphere with constant coefficients."""
+
+    center: NDArray[np.float32]
+    """Unit direction of the centroid, world space, shape [count, 3]."""
+
+    half_azimuth: NDArray[np.float32]
+    """Tangent vector, half the patch wide, shape [count, 3]."""
+
+    half_elevation: NDArray[np.float32]
+    """Tangent vector, half the patch high, shape [count, 3]."""
+
+    flux: NDArray[np.float32]
+    """Coefficients times solid angle [sr], channels padded to groups, shape [groups, count, 4]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tree:
+    """The patch tree in depth-first order (see ``usdskin.warp_kernels.reflectance_map``)."""
+
+    patches: Patches
+    radius: NDArray[np.float32]
+    skip: NDArray[np.int32]
+    first_moment: NDArray[np.float32]
+    """Int c L dL [sr], shape [3, groups, count, 4]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Environment:
+    """One dome: the lamps taken out of it, and the tree of all the rest."""
+
+    tree: Tree
+    lamps: Patches
+    """Strongest first."""
+
+    lamp_blocks: NDArray[np.int64]
+    """(row, column, height, width) of the texels each lamp was taken from, shape [count, 4]."""
+
+    gloss_lamp_count: int
+    """How many lamps, the first ones, are strong enough to be reflected by themselves."""
+
+
+def group_count(channel_count: int) -> int:
+    """Return how many groups of four hold that many channels."""
+    return -(-channel_count // 4)
+
+
+def latlong_directions(azimuth_turns: NDArray[np.float64], polar: NDArray[np.float64]) -> NDArray:
+    """Return UsdLux's latlong directions in the light's frame, shape [..., 3].
+
+    u = 0.5 is +Z, u = 0.25 is +X, v = 0 is +Y, whatever the stage's up axis.
+
+    Args:
+        azimuth_turns: u, 0 to 1 from the left edge.
+        polar: Angle from +Y [rad], v times pi.
+    """
+    angle = 2.0 * np.pi * azimuth_turns
+    return np.stack(
+        [np.sin(polar) * np.sin(angle), np.cos(polar), -np.sin(polar) * np.cos(angle)], axis=-1
+    )
+
+
+def build_environment(
+    coefficients: NDArray[np.float32],
+    channel_scale: NDArray[np.float64],
+    to_world: NDArray[np.float64],
+    *,
+    max_lamps: int = MAX_LAMPS,
+) -> Environment:
+    """Build the patch tree of a latlong map whose texels are constant patches.
+
+    Args:
+        coefficients: c, shape [height, width, r].
+        channel_scale: The peak of each channel's basis spectrum, which weighs the channels in
+            deciding where the light is strong, shape [r].
+        to_world: Rotation from the light's frame, shape [3, 3].
+        max_lamps: The most lamps to take out.
+    """
+    height, width, channels = coefficients.shape
+    strength = np.sqrt(((coefficients * channel_scale.astype(np.float32)) ** 2).sum(axis=-1))
+    levels = max(0, int(np.floor(np.log2(max(1, min(height // 4, width // 8))))))
+    side = 1 << levels
+    shape = (-(-height // side) * side, -(-width // side) * side)
+    rows, columns = _texel_integrals(height, width)
+    energy = _pad(strength * (rows[0][:, None] * columns[0][None, :]), shape)
+    pyramid = _index_moments(energy, levels)
+    total = float(pyramid[-1][0].sum())
+    nodes = _select_nodes(pyramid, total, height, width)
+    geometry = _node_geometry(nodes, height, width, to_world)
+
+    groups = group_count(channels)
+    count = len(nodes.level)
+    flux = np.zeros((groups, count, 4), np.float32)
+    moment = np.zeros((3, groups, count, 4), np.float32)
+    for group in range(groups):
+        part = coefficients[:, :, 4 * group : 4 * group + 4]
+        used = part.shape[2]
+        local = _gather_moments(part, rows, columns, nodes, levels, shape)
+        flux[group, :, :used] = local[0]
+        moment[:, group, :, :used] = np.einsum("ij,jnc->inc", to_world, local[1:])
+
+    lamp = _choose_lamps(nodes, total, max_lamps)
+    size = np.int64(1) << nodes.level[lamp].astype(np.int64)
+    blocks = np.stack([nodes.row[lamp] * size, nodes.column[lamp] * size, size, size], axis=-1)
+    glossy = int((nodes.energy[lamp] > GLOSS_LAMP_SHARE * total).sum())
+    patches = Patches(geometry.center, geometry.half_azimuth, geometry.half_elevation, flux)
+    lamps = Patches(
+        patches.center[lamp], patches.half_azimuth[lamp], patches.half_elevation[lamp],
+        flux[:, lamp].copy(),
+    )  # fmt: skip
+    for index in lamp:  # a lamp's flux leaves itself and every node above it
+        above = (nodes.start <= nodes.start[index]) & (nodes.end >= nodes.end[index])
+        leaf_flux, leaf_moment = flux[:, index].copy(), moment[:, :, index].copy()
+        flux[:, above] -= leaf_flux[:, None]
+        moment[:, :, above] -= leaf_moment[:, :, None]
+        flux[:, index], moment[:, :, index] = 0.0, 0.0
+    tree = Tree(patches, geometry.radius, nodes.skip, moment)
+    return Environment(tree, lamps, blocks, glossy)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Nodes:
+    level: NDArray[np.int32]
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
+    leaf: NDArray[np.bool_]
+    energy: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    """Energy-weighted mean (row, column) of the texels [texel], shape [count, 2]."""
+    spread: NDArray[np.float64]
+    """Half the sides of the rectangle with the same variance [texel], shape [count, 2]."""
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    skip: NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Geometry:
+    center: NDArray[np.float32]
+    radius: NDArray[np.float32]
+    half_azimuth: NDArray[np.float32]
+    half_elevation: NDArray[np.float32]
+
+
+def _texel_integrals(height: int, width: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the row and column factors of Int dL, Int L_x dL, Int L_y dL, Int L_z dL.
+
+    Exact for a texel; shapes [4, height] and [4, width].
+    """
+    polar = np.pi * np.arange(height + 1) / height
+    top, bottom = polar[:-1], polar[1:]
+    area = np.cos(top) - np.cos(bottom)
+    sine = 0.5 * (bottom - top) - 0.25 * (np.sin(2 * bottom) - np.sin(2 * top))
+    cosine = 0.5 * (np.sin(bottom) ** 2 - np.sin(top) ** 2)
+    step = 2.0 * np.pi / width
+    angle = step * (np.arange(width) + 0.5)
+    chord = 2.0 * np.sin(0.5 * step)
+    flat = np.full(width, step)
+    return (
+        np.stack([area, sine, cosine, sine]),
+        np.stack([flat, chord * np.sin(angle), flat, -chord * np.cos(angle)]),
+    )
+
+
+def _pad(image: NDArray, shape: tuple[int, int]) -> NDArray:
+    rows, columns = shape[0] - image.shape[0], shape[1] - image.shape[1]
+    if not rows and not columns:
+        return image
+    return np.pad(image, ((0, rows), (0, columns)) + ((0, 0),) * (image.ndim - 2))
+
+
+def _halve(image: NDArray) -> NDArray:
+    """Sum 2 x 2 blocks; tree-shaped, so float32 keeps its precision."""
+    return image[0::2, 0::2] + image[0::2, 1::2] + image[1::2, 0::2] + image[1::2, 1::2]
+
+
+def _index_moments(energy: NDArray, levels: int) -> list[NDArray[np.float64]]:
+    """Return per level the sums of e, e i, e j, e i^2, e j^2, shape [5, rows, columns]."""
+    energy = energy.astype(np.float64)
+    i = np.arange(energy.shape[0])[:, None] + 0.5
+    j = np.arange(energy.shape[1])[None, :] + 0.5
+    stack = [energy, energy * i, energy * j, energy * i * i, energy * j * j]
+    pyramid = [np.stack(stack)]
+    for _ in range(levels):
+        pyramid.append(np.stack([_halve(plane) for plane in pyramid[-1]]))
+    return pyramid
+
+
+def _block_radius(level: int, row: NDArray, column: NDArray, height: int, width: int) -> NDArray:
+    """Return the largest chord from a block's middle to its corners and edge middles."""
+    side = 1 << level
+    rows = [np.clip((row + f) * side, 0, height) for f in (0.0, 0.5, 1.0)]
+    columns = [np.clip((column + f) * side, 0, width) for f in (0.0, 0.5, 1.0)]
+    middle = latlong_directions(columns[1] / width, np.pi * rows[1] / height)
+    radius = np.zeros(len(row))
+    for r in rows:
+        for c in columns:
+            edge = latlong_directions(c / width, np.pi * r / height)
+            radius = np.maximum(radius, np.linalg.norm(edge - middle, axis=-1))
+    return radius
+
+
+def _select_nodes(
+    pyramid: list[NDArray[np.float64]], total: float, height: int, width: int
+) -> _Nodes:
+    """Refine from the top until every leaf is small, or holds little."""
+    top = len(pyramid) - 1
+    row, column = (index.ravel() for index in np.indices(pyramid[top].shape[1:]))
+    found = []
+    for level in range(top, -1, -1):
+        sums = pyramid[level][:, row, column]
+        radius = _block_radius(level, row, column, height, width)
+        keep = sums[0] > 0.0
+        row, column, sums, radius = row[keep], column[keep], sums[:, keep], radius[keep]
+        share = sums[0] / max(total, 1e-300)
+        split = (radius > MAX_PATCH_RADIUS) | (share * radius > MAX_PATCH_MOMENT)
+        split |= share * radius**2 > MAX_PATCH_CURVATURE
+        if level == 0:
+            split[:] = False
+        found.append((np.full(len(row), level), row, column, ~split, sums))
+        row = (2 * row[split, None] + np.array([0, 0, 1, 1])).ravel()
+        column = (2 * column[split, None] + np.array([0, 1, 0, 1])).ravel()
+    level, row, column, leaf = (np.concatenate([part[k] for part in found]) for k in range(4))
+    sums = np.concatenate([part[4] for part in found], axis=1)
+    mean = sums[1:3] / sums[0]
+    variance = np.maximum(sums[3:5] / sums[0] - mean**2, 0.0) + 1.0 / 12.0
+    start = _interleave(row << level, column << level)
+    end = start + (np.int64(1) << (2 * level))
+    order = np.lexsort((-level, start))
+    start, end = start[order], end[order]
+    skip = np.searchsorted(start, end, side="left").astype(np.int32)
+    return _Nodes(
+        level[order], row[order], column[order], leaf[order], sums[0][order],
+        mean.T[order], np.sqrt(3.0 * variance).T[order], start, end, skip,
+    )  # fmt: skip
+
+
+def _interleave(row: NDArray, column: NDArray) -> NDArray[np.int64]:
+    """Return Morton codes, so that a block's texels are one interval."""
+    code = np.zeros(len(row), np.int64)
+    for bit in range(20):
+        code |= ((column.astype(np.int64) >> bit) & 1) << (2 * bit)
+        code |= ((row.astype(np.int64) >> bit) & 1) << (2 * bit + 1)
+    return code
+
+
+def _node_geometry(nodes: _Nodes, height: int, width: int, to_world: NDArray) -> _Geometry:
+    polar = np.pi * nodes.mean[:, 0] / height
+    turns = nodes.mean[:, 1] / width
+    center = latlong_directions(turns, polar)
+    angle = 2.0 * np.pi * turns
+    east = np.stack([np.cos(angle), np.zeros_like(angle), np.sin(angle)], axis=-1)
+    south = np.cross(center, east)
+    half_elevation = south * (np.pi / height * nodes.spread[:, 0])[:, None]
+    reach = np.sin(polar) * 2.0 * np.pi / width * nodes.spread[:, 1]
+    half_azimuth = east * reach[:, None]
+    radius = np.zeros(len(polar))
+    for level in np.unique(nodes.level):
+        at = nodes.level == level
+        radius[at] = _block_radius(int(level), nodes.row[at], nodes.column[at], height, width)
+        side = 1 << int(level)
+        middle_row = np.minimum((nodes.row[at] + 0.5) * side, height)
+        middle_column = np.minimum((nodes.column[at] + 0.5) * side, width)
+        middle = latlong_directions(middle_column / width, np.pi * middle_row / height)
+        radius[at] += np.linalg.norm(middle - center[at], axis=-1)
+    turn = to_world.T
+    return _Geometry(
+        (center @ turn).astype(np.float32), (1.0001 * radius).astype(np.float32),
+        (half_azimuth @ turn).astype(np.float32), (half_elevation @ turn).astype(np.float32),
+    )  # fmt: skip
+
+
+def _gather_moments(
+    part: NDArray[np.float32],
+    rows: NDArray[np.float64],
+    columns: NDArray[np.float64],
+    nodes: _Nodes,
+    levels: int,
+    shape: tuple[int, int],
+) -> NDArray[np.float64]:
+    """Return Int c dL and Int c L dL of every node for up to four channels, [4, count, c]."""
+    result = np.zeros((4, len(nodes.level), part.shape[2]))
+    for k in range(4):
+        weight = (rows[k][:, None] * columns[k][None, :]).astype(np.float32)
+        image = _pad(part * weight[:, :, None], shape)
+        for level in range(levels + 1):
+            if level:
+                image = _halve(image)
+            at = nodes.level == level
+            result[k, at] = image[nodes.row[at], nodes.column[at]]
+    return result
+
+
+def _choose_lamps(nodes: _Nodes, total: float, max_lamps: int) -> NDArray[np.int64]:
+    """Return the strongest leaves above ``LAMP_SHARE``, at most ``max_lamps``."""
+    candidates = np.flatnonzero(nodes.leaf & (nodes.energy > LAMP_SHARE * total))
+    order = np.argsort(-nodes.energy[candidates], kind="stable")
+    return candidates[order[:max_lamps]]

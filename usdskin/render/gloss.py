@@ -1,0 +1,172 @@
+"""Prefiltered reflections of the domes, and the directional albedo of a GGX lobe.
+
+Reads: ``Lights`` and ``LightField``. Fills: the reflection arrays of the kernels' ``Lights``.
+Lamps that are reflected by themselves are blackened first, so that nothing counts twice.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from usdskin.render.device import Workers
+from usdskin.render.environment import Environment, group_count
+from usdskin.render.lights import DomeLight, Lights
+from usdskin.warp_kernels import specular, structs
+
+FRESNEL_SIZE = (33, 32)
+"""Rows over alpha and columns over the cosine of the directional albedo table."""
+
+LADDER = (0.0, 0.0025, 0.01, 0.04, 0.09, 0.16, 0.25, 0.36, 0.49, 0.64, 1.0)
+"""GGX alphas prefiltered where a roughness varies over a surface."""
+
+_MIRROR_ROWS = 256
+
+
+def add_reflections(
+    field: structs.Lights,
+    lights: Lights,
+    environments: tuple[Environment, ...],
+    alphas: tuple[float, ...],
+    workers: Workers,
+) -> None:
+    """Prefilter every dome for the given GGX alphas, ascending; none leaves reflections black."""
+    device = workers.device
+    field.fresnel = wp.array(fresnel_table(), dtype=wp.vec2f, device=device)
+    groups = int(field.group_count)
+    offsets = np.full((max(1, len(alphas)), groups), -1, np.int32)
+    rows = np.zeros_like(offsets)
+    parts: list[NDArray[np.float32]] = []
+    used, first = 0, 0
+    for dome, environment in zip(lights.domes, environments, strict=True):
+        count = group_count(dome.coefficients.shape[2])
+        for g in range(count):
+            texel, level = _pyramid(dome, environment, g)
+            for k, alpha in enumerate(alphas):
+                size = _grid_rows(alpha)
+                offsets[k, first + g], rows[k, first + g] = used, size
+                parts.append(_prefilter(texel, level, dome.to_world, alpha, size, workers))
+                used += len(parts[-1])
+        first += count
+    flat = np.concatenate(parts) if parts else np.zeros((0, 4), np.float32)
+    field.gloss_value = wp.array(flat, dtype=wp.vec4f, device=device)
+    field.gloss_offset = wp.array(offsets, dtype=wp.int32, device=device)
+    field.gloss_rows = wp.array(rows, dtype=wp.int32, device=device)
+    field.gloss_alpha = wp.array(
+        np.array(alphas if parts else (), np.float32), dtype=wp.float32, device=device
+    )
+
+
+def show_domes(field: structs.Lights, lights: Lights, show: bool, device: str) -> None:
+    """Hand the domes' own texels to the kernels where the camera sees them."""
+    groups = int(field.group_count)
+    offsets = np.full(groups, -1, np.int32)
+    rows, columns = np.zeros(groups, np.int32), np.zeros(groups, np.int32)
+    to_local = np.tile(np.eye(3, dtype=np.float32), (groups, 1, 1))
+    parts: list[NDArray[np.float32]] = []
+    used, first = 0, 0
+    for dome in lights.domes if show else ():
+        for g in range(group_count(dome.coefficients.shape[2])):
+            image = _group_image(dome.coefficients, g)
+            offsets[first] = used
+            rows[first], columns[first] = image.shape[:2]
+            to_local[first] = dome.to_world.T
+            parts.append(image.reshape(-1, 4))
+            used += len(parts[-1])
+            first += 1
+    flat = np.concatenate(parts) if parts else np.zeros((0, 4), np.float32)
+    field.dome_value = wp.array(flat, dtype=wp.vec4f, device=device)
+    field.dome_offset = wp.array(offsets, dtype=wp.int32, device=device)
+    field.dome_rows = wp.array(rows, dtype=wp.int32, device=device)
+    field.dome_columns = wp.array(columns, dtype=wp.int32, device=device)
+    field.dome_to_local = wp.array(to_local, dtype=wp.mat33f, device=device)
+
+
+@functools.cache
+def fresnel_table() -> NDArray[np.float32]:
+    """Return (x, y) such that a GGX lobe's directional albedo is F0 x + y.
+
+    Schlick's Fresnel splits into F0 (1 - c) + c with c = (1 - v.h)^5; both parts are integrated
+    over the visible hemisphere with Smith's height-correlated masking (Karis 2013, section 4).
+
+    Returns:
+        Table over alpha (0 to 1) and the cosine of the view angle (0 to 1), shape [33, 32, 2].
+    """
+    rows, columns = FRESNEL_SIZE
+    alpha = np.maximum(np.linspace(0.0, 1.0, rows), 1e-3)[:, None, None]
+    nv = np.maximum(np.linspace(0.0, 1.0, columns), 1e-3)[None, :, None]
+    count = 256
+    xi = (np.arange(count) + 0.5) / count
+    angle = 2.0 * np.pi * ((np.arange(count) * 0.6180339887498949) % 1.0)
+    cosine = np.sqrt((1.0 - xi) / (1.0 + (alpha**2 - 1.0) * xi))
+    sine = np.sqrt(1.0 - cosine**2)
+    view = np.sqrt(1.0 - nv**2)
+    vh = np.maximum(view * sine * np.cos(angle) + nv * cosine, 1e-6)
+    nl = 2.0 * vh * cosine - nv
+    lit = nl > 0.0
+    nl = np.where(lit, nl, 1.0)
+    a2 = alpha**2
+    mask = nv * np.sqrt(a2 + (1 - a2) * nl**2) + nl * np.sqrt(a2 + (1 - a2) * nv**2)
+    weight = np.where(lit, 2.0 * nl * nv / mask * vh / (cosine * nv), 0.0)
+    rise = (1.0 - vh) ** 5
+    table = np.stack([(weight * (1.0 - rise)).mean(-1), (weight * rise).mean(-1)], axis=-1)
+    return table.astype(np.float32)
+
+
+def _grid_rows(alpha: float) -> int:
+    """Return H of a node grid fine enough for a lobe about 2 alpha wide."""
+    if alpha <= 0.0:
+        return _MIRROR_ROWS
+    return int(np.clip(np.ceil(8.0 / alpha), 24, _MIRROR_ROWS))
+
+
+def _group_image(coefficients: NDArray[np.float32], group: int) -> NDArray[np.float32]:
+    part = coefficients[:, :, 4 * group : 4 * group + 4]
+    image = np.zeros((*part.shape[:2], 4), np.float32)
+    image[:, :, : part.shape[2]] = part
+    return image
+
+
+def _pyramid(
+    dome: DomeLight, environment: Environment, group: int
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return the texels of all levels and (offset, width, height) of each."""
+    image = _group_image(dome.coefficients, group)
+    for row, column, height, width in environment.lamp_blocks[: environment.gloss_lamp_count]:
+        image[row : row + height, column : column + width] = 0.0
+    images = [image]
+    while min(images[-1].shape[:2]) > 4:
+        image = images[-1]
+        height, width = image.shape[0] // 2, image.shape[1] // 2
+        image = image[: 2 * height, : 2 * width]
+        images.append(image.reshape(height, 2, width, 2, 4).mean(axis=(1, 3)))
+    level, used = [], 0
+    for image in images:
+        level.append((used, image.shape[1], image.shape[0]))
+        used += image.shape[0] * image.shape[1]
+    return np.concatenate([image.reshape(-1, 4) for image in images]), np.array(level, np.int32)
+
+
+def _prefilter(
+    texel: NDArray[np.float32],
+    level: NDArray[np.int32],
+    to_world: NDArray[np.float64],
+    alpha: float,
+    rows: int,
+    workers: Workers,
+) -> NDArray[np.float32]:
+    device = workers.device
+    count = (rows + 1) * (2 * rows + 1)
+    texels = wp.array(texel, dtype=wp.vec4f, device=device)
+    levels = wp.array(level, dtype=wp.vec3i, device=device)
+    out = wp.empty(count, dtype=wp.vec4f, device=device)
+    to_local = wp.mat33f(*to_world.T.astype(np.float32).ravel().tolist())
+
+    def work(begin: int, end: int) -> None:
+        specular.prefilter(texels, levels, to_local, alpha, rows, out, begin, end)
+
+    workers.run(count, 2048 if device == "cpu" else count, work)
+    return np.asarray(out.numpy(), np.float32)

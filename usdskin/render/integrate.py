@@ -1,0 +1,191 @@
+"""From a scene's arrays to a picture's arrays.
+
+Tiles of whole rows are rendered by disjoint launches; a pixel depends on nothing but itself, so
+the picture is the same whatever the tiles, threads or their order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from usdskin.progress import Progress
+from usdskin.render.cameras import Camera
+from usdskin.render.device import Workers
+from usdskin.render.film import sample_offsets
+from usdskin.warp_kernels import film, structs
+
+TILE_PIXELS = 16384
+"""Pixels of one launch on the CPU."""
+
+GPU_TILE_PIXELS = 1 << 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceScene:
+    """Everything a picture needs, on the device."""
+
+    geometry: structs.Geometry
+    lights: structs.Lights
+    materials: structs.Materials
+    max_rows: int
+    band_count: int
+    st_primvar: int
+    """Row of st in the corner values, -1 where no mesh has it."""
+
+    face_prim: NDArray[np.int32]
+    """Index of each triangle's mesh, shape [triangle_count]."""
+
+    face_material: NDArray[np.int32]
+    """Index of each triangle's material, shape [triangle_count]."""
+
+    albedo: tuple[NDArray[np.float64], ...]
+    """RGB under D65 of each material's base weights, shape [base_count, 3] each."""
+
+    keep: tuple[object, ...]
+    """Objects the structs point into, such as the ``wp.Mesh``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One rendered picture."""
+
+    xyza: NDArray[np.float32]
+    """XYZ of scene radiance, unexposed, and alpha, shape [height, width, 4]."""
+
+    spectrum: NDArray[np.float32] | None
+    """Spectral radiance, shape [height, width, bands]."""
+
+
+def device_camera(camera: Camera, resolution: tuple[int, int]) -> structs.CameraRays:
+    """Return a camera as the kernels take it."""
+    rays = structs.CameraRays()
+    axes = camera.to_world.astype(np.float32)
+    rays.right, rays.up, rays.back, rays.origin = (
+        wp.vec3f(*axes[:3, column].tolist()) for column in range(4)
+    )
+    rays.window = wp.vec4f(*(float(edge) for edge in camera.window))
+    rays.near, rays.far = camera.clip_near, min(camera.clip_far, 1.0e18)
+    rays.orthographic = int(camera.orthographic)
+    rays.width, rays.height = resolution
+    return rays
+
+
+def integrate(
+    scene: DeviceScene,
+    camera: Camera,
+    resolution: tuple[int, int],
+    samples: int,
+    pixel_filter: str,
+    workers: Workers,
+    progress: Progress,
+    *,
+    spectral: bool,
+    show_dome: bool,
+) -> Picture:
+    """Render a picture.
+
+    Args:
+        scene: The scene on the workers' device.
+        camera: Where from.
+        resolution: Width and height [px].
+        samples: Samples per pixel.
+        pixel_filter: Name of the pixel filter.
+        workers: Where to compute.
+        progress: Advances by pixels.
+        spectral: Whether to return spectra.
+        show_dome: Whether the domes are seen behind the surfaces.
+    """
+    width, height = resolution
+    count = width * height
+    device = workers.device
+    rays = device_camera(camera, resolution)
+    offsets = wp.array(sample_offsets(samples, pixel_filter), dtype=wp.vec2f, device=device)
+    xyza = np.zeros((count, 4), np.float32)
+    bands = scene.band_count if spectral else 0
+    spectrum = np.zeros((count, bands), np.float32)
+    on_host = device == "cpu"
+
+    def work(begin: int, end: int) -> None:
+        tile = structs.Film()
+        tile.sample = offsets
+        tile.first_pixel = begin
+        tile.show_dome = int(show_dome)
+        tile.channel = wp.zeros((end - begin, scene.max_rows), dtype=wp.vec4f, device=device)
+        if on_host:  # the kernel writes into the picture itself
+            tile.xyza = wp.array(xyza[begin:end], dtype=wp.vec4f, device=device, copy=False)
+            tile.spectrum = wp.array(
+                spectrum[begin:end], dtype=wp.float32, device=device, copy=False
+            )
+        else:
+            tile.xyza = wp.zeros(end - begin, dtype=wp.vec4f, device=device)
+            tile.spectrum = wp.zeros((end - begin, bands), dtype=wp.float32, device=device)
+        film.render_tile(scene.geometry, rays, scene.lights, scene.materials, tile)
+        if not on_host:
+            xyza[begin:end] = tile.xyza.numpy()
+            spectrum[begin:end] = tile.spectrum.numpy()
+
+    chunk = TILE_PIXELS if on_host else GPU_TILE_PIXELS
+    chunk = max(width, chunk // width * width)
+    progress.start(count, "render")
+    workers.run(count, chunk, work, progress.advance)
+    progress.done()
+    return Picture(
+        xyza.reshape(height, width, 4),
+        spectrum.reshape(height, width, bands) if spectral else None,
+    )
+
+
+def collect_data(
+    scene: DeviceScene,
+    camera: Camera,
+    resolution: tuple[int, int],
+    workers: Workers,
+    *,
+    irradiance: bool = False,
+) -> dict[str, NDArray[np.float32]]:
+    """Return what the middle of every pixel sees.
+
+    Returns:
+        ``normal`` [h, w, 3], ``position`` [m] [h, w, 3], ``depth`` [m] [h, w], ``base`` [h, w, 4],
+        ``st`` [h, w, 2], ``face`` [h, w], the triangle or -1, and where wanted ``irradiance``
+        [h, w, 3], its XYZ.
+    """
+    width, height = resolution
+    count = width * height
+    device = workers.device
+    rays = device_camera(camera, resolution)
+    found = {
+        "normal": np.zeros((count, 3), np.float32),
+        "position": np.zeros((count, 4), np.float32),
+        "base": np.zeros((count, 4), np.float32),
+        "st": np.zeros((count, 2), np.float32),
+        "face": np.zeros(count, np.int32),
+    }
+    types = {"normal": wp.vec3f, "position": wp.vec4f, "base": wp.vec4f, "st": wp.vec2f,
+             "face": wp.int32}  # fmt: skip
+    if irradiance:
+        found["irradiance"] = np.zeros((count, 3), np.float32)
+        types["irradiance"] = wp.vec3f
+
+    def work(begin: int, end: int) -> None:
+        tile = film.DataTile()
+        tile.first_pixel = begin
+        tile.st_primvar = scene.st_primvar
+        for name, dtype in types.items():
+            setattr(tile, name, wp.zeros(end - begin, dtype=dtype, device=device))
+        if not irradiance:
+            tile.irradiance = wp.zeros(0, dtype=wp.vec3f, device=device)
+        film.render_data(scene.geometry, rays, scene.lights, scene.materials, tile)
+        for name, values in found.items():
+            values[begin:end] = getattr(tile, name).numpy()
+
+    workers.run(count, TILE_PIXELS if device == "cpu" else count, work)
+    position = found.pop("position")
+    found["position"], found["depth"] = position[:, :3], position[:, 3]
+    return {
+        name: values.reshape(height, width, *values.shape[1:]) for name, values in found.items()
+    }

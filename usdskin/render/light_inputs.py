@@ -1,0 +1,393 @@
+"""What a light prim's own inputs say: how bright, which spectrum, seen through which map.
+
+Reads: the ``inputs:`` of UsdLux (quantities as its schema documents them: a white light of
+intensity 1 and exposure 0 has a luminance of 1) and ``SpectralLightAPI``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Sdf, Usd, UsdLux
+
+from usdskin.colorimetry import (
+    DEFAULT_OBSERVER,
+    Observer,
+    color_space_names,
+    daylight,
+    illuminant,
+    linear_color_space,
+    planck_radiance,
+    rgb_to_xyz,
+    xyz_to_rgb,
+    xyz_weights,
+)
+from usdskin.errors import ImageError, LayerError, UsageError, UsdSkinError
+from usdskin.layers import describe
+from usdskin.notes import Note
+from usdskin.prims import SpectralLight, read_spectral_light
+from usdskin.render.texels import BadPixels
+from usdskin.spectrum import SpectralQuantity
+from usdskin.uplift import light_basis
+
+FloatArray = NDArray[np.float64]
+
+DEFAULT_ILLUMINANT = "D65"
+DEFAULT_COLOR_SPACE = "lin_rec709_scene"
+
+# Names that predate USD's list, and those that say there is nothing to convert.
+_COLOR_SPACE_ALIASES = {
+    "sRGB": "srgb_rec709_scene",
+    "linear": DEFAULT_COLOR_SPACE,
+    "lin_srgb": DEFAULT_COLOR_SPACE,
+    "raw": DEFAULT_COLOR_SPACE,
+    "data": DEFAULT_COLOR_SPACE,
+    "identity": DEFAULT_COLOR_SPACE,
+}
+_UNSAID_COLOR_SPACES = ("", "auto", "unknown")
+_INTEGER_SAMPLES = ("uint8", "uint16", "int8", "int16")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Context:
+    """How lights are read: the same for every light of a picture."""
+
+    wavelength_nm: FloatArray
+    """Band centres [nm], shape [band_count]."""
+
+    time: Usd.TimeCode = field(default_factory=Usd.TimeCode.Default)
+    """Time to read at."""
+
+    observer: Observer = DEFAULT_OBSERVER
+    """Whose colour-matching functions relate spectra and RGB."""
+
+    illuminant: str | None = None
+    """Lamp that RGB lights are taken to be, whatever they say themselves."""
+
+    bad_pixels: BadPixels = "error"
+    """What to do about map pixels that are no light."""
+
+    notes: list[Note] = field(default_factory=list)
+    """Takes what cannot be honoured."""
+
+    def note(self, code: str, prim: Usd.Prim, message: str) -> None:
+        """Append a note about a prim."""
+        self.notes.append(Note(code, str(prim.GetPath()), message))
+
+    def luminance(self, spectrum: FloatArray) -> float:
+        """Return Y in relative units of a spectrum, shape [band_count]."""
+        return float(spectrum @ xyz_weights(self.wavelength_nm, self.observer)[:, 1])
+
+    def nit(self) -> float:
+        """Return the absolute radiance of a spectrum whose relative Y is 1, per nit."""
+        relative = xyz_weights(self.wavelength_nm, self.observer)[:, 1]
+        absolute = xyz_weights(self.wavelength_nm, self.observer, absolute=True)[:, 1]
+        return float(relative.sum() / absolute.sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightPrim:
+    """A light prim with what it says about its spectrum."""
+
+    prim: Usd.Prim
+    """The prim."""
+
+    spectral: SpectralLight
+    """Its spectral opinions, or the fallbacks of a plain RGB light."""
+
+    is_physical: bool
+    """Whether those come from OpenUSD's physical-lighting proposal, on top of an RGB light."""
+
+    scale: float
+    """``intensity * 2^exposure``, times the spectral scale."""
+
+    @property
+    def path(self) -> str:
+        """Prim path."""
+        return str(self.prim.GetPath())
+
+    @property
+    def is_absolute(self) -> bool:
+        """Whether radiance is in W m^-2 sr^-1 nm^-1."""
+        return self.spectral.units == "absolute"
+
+    @property
+    def shows_rgb(self) -> bool:
+        """Whether the RGB inputs (color, texture) shape the light."""
+        return self.is_physical or self.spectral.source == "rgb"
+
+
+def read_light_prim(prim: Usd.Prim, context: Context) -> LightPrim:
+    """Read what every kind of light has, and note what is not honoured.
+
+    Args:
+        prim: Prim with ``LightAPI``.
+        context: How lights are read.
+
+    Raises:
+        LayerError: An opinion cannot be used.
+    """
+    spectral = read_spectral_light(prim, context.time)
+    is_physical = spectral is not None and not prim.HasAPI("SpectralLightAPI")
+    spectral = SpectralLight() if spectral is None else spectral
+    intensity = number(prim, "intensity", context, minimum=0.0)
+    exposure = number(prim, "exposure", context)
+    try:
+        scale = intensity * math.pow(2.0, exposure) * spectral.scale
+    except OverflowError:
+        scale = math.inf
+    if not math.isfinite(scale) or spectral.scale < 0.0:
+        raise LayerError(
+            f"{describe(prim)}: intensity {intensity:g} at exposure {exposure:g} times "
+            f"inputs:spectral:scale {spectral.scale:g} is no brightness; lower the exposure"
+        )
+    _note_ignored(prim, context)
+    return LightPrim(prim, spectral, is_physical, scale)
+
+
+def light_input(prim: Usd.Prim, name: str, context: Context) -> tuple[Usd.Attribute, Any]:
+    """Return an input of a light and its value at the context's time.
+
+    A value under the name that the input had before USD 21.05, without ``inputs:``, counts too.
+    """
+    attribute = prim.GetAttribute(f"inputs:{name}")
+    if not (attribute and attribute.HasAuthoredValue()):
+        old = prim.GetAttribute(name)
+        if old and old.HasAuthoredValue():
+            return old, old.Get(context.time)
+    return attribute, attribute.Get(context.time) if attribute else None
+
+
+def number(prim: Usd.Prim, name: str, context: Context, minimum: float = -math.inf) -> float:
+    """Return a numeric input of a light.
+
+    Raises:
+        LayerError: It is no finite number, or below ``minimum``.
+    """
+    attribute, value = light_input(prim, name, context)
+    if isinstance(value, (int, float)) and math.isfinite(value) and value >= minimum:
+        return float(value)
+    bound = "" if minimum == -math.inf else f" of at least {minimum:g}"
+    raise LayerError(
+        f"{describe(attribute or prim)}: inputs:{name} is {value}; author a finite number{bound}"
+    )
+
+
+def _note_ignored(prim: Usd.Prim, context: Context) -> None:
+    """Note what is authored on a light and has no effect on the picture."""
+    for name in ("diffuse", "specular"):
+        value = light_input(prim, name, context)[1]
+        if value is not None and value != 1.0:
+            context.note(
+                "light-multiplier-ignored",
+                prim,
+                f"inputs:{name} is {value:g}; the light shines on both alike",
+            )
+    for name in ("lightLink", "shadowLink"):
+        links = Usd.CollectionAPI(prim, name)
+        root = links.GetIncludeRootAttr()
+        targets = [*links.GetIncludesRel().GetTargets(), *links.GetExcludesRel().GetTargets()]
+        if targets or (root and root.Get() is False):
+            context.note(
+                "light-linking-ignored", prim, f"collection:{name}; the light reaches everything"
+            )
+    filters = prim.GetRelationship("light:filters")
+    if filters and filters.GetTargets():
+        context.note("light-filters-ignored", prim, "light:filters; the light is unfiltered")
+    if prim.HasAPI(UsdLux.ShapingAPI):
+        context.note("light-shaping-ignored", prim, "ShapingAPI; the light shines evenly")
+    wired = [
+        attribute.GetName()
+        for attribute in prim.GetAuthoredAttributes()
+        if attribute.GetName().startswith("inputs:") and attribute.HasAuthoredConnections()
+    ]
+    if wired:
+        context.note(
+            "light-connection-ignored",
+            prim,
+            f"{', '.join(wired)} connected to a shader; the value on the light is used",
+        )
+
+
+# --- Spectra -----------------------------------------------------------------------------------
+
+
+def constant_spectrum(light: LightPrim, context: Context) -> FloatArray:
+    """Return the spectrum of a light that is not RGB and has no map, without its scale.
+
+    A black body in absolute units has Planck's radiance; in relative units it and daylight have
+    Y = 1; daylight in absolute units has 1 cd m^-2. A tabulated spectrum is as authored.
+
+    Raises:
+        LayerError: The spectrum cannot be used.
+    """
+    source = light.spectral.source
+    if source == "tabulated":
+        emission = light.spectral.emission
+        if emission is None:
+            raise LayerError(
+                f"{describe(light.prim)}: inputs:spectral:source is tabulated, but there is no "
+                "SpectralDistributionAPI:emission; apply it"
+            )
+        if light.is_absolute and emission.quantity is SpectralQuantity.RELATIVE:
+            raise LayerError(
+                f"{describe(light.prim)}: inputs:spectral:units is absolute, but "
+                "spectrum:emission:quantity is relative; give radiance, or make the units relative"
+            )
+        return emission.resample(context.wavelength_nm)
+    temperature = number(light.prim, "colorTemperature", context)
+    lamp = daylight if source == "illuminantD" else planck_radiance
+    spectrum = _named_at(light.prim, lambda: lamp(temperature, context.wavelength_nm))
+    if source == "blackbody" and light.is_absolute:
+        return spectrum
+    relative = spectrum / context.luminance(spectrum)
+    return relative * context.nit() if light.is_absolute else relative
+
+
+def rgb_spectra(light: LightPrim, color_space: str, context: Context) -> FloatArray:
+    """Return the spectra of the primaries of a light's RGB map, tinted, without its scale.
+
+    The tint, ``inputs:color`` times the colour of ``inputs:colorTemperature`` where that is
+    enabled, multiplies in its own colour space (that of the rendering, linear Rec. 709 unless the
+    layer says otherwise); so the map is brought there first.
+
+    Args:
+        light: The light.
+        color_space: Linear space of the map's pixels.
+        context: How lights are read.
+
+    Returns:
+        Spectra such that ``radiance = rgb @ spectra``, shape [3, band_count].
+
+    Raises:
+        LayerError: The tint or the lamp cannot be used.
+    """
+    lamp, luminance = _assigned_lamp(light, context)
+    tint, tint_space = _tint(light.prim, context)
+
+    def lifted(space: str) -> FloatArray:
+        return light_basis(lamp, context.wavelength_nm, space, context.observer)
+
+    if tint.min() == tint.max():
+        spectra = _named_at(light.prim, lambda: lifted(color_space)) * tint[0]
+    else:
+        to_tint = xyz_to_rgb(tint_space) @ rgb_to_xyz(color_space)
+        spectra = _named_at(light.prim, lambda: (tint[:, None] * to_tint).T @ lifted(tint_space))
+    spectra = spectra * luminance
+    return spectra * context.nit() if light.is_absolute else spectra
+
+
+def _named_at(prim: Usd.Prim, compute: Callable[[], FloatArray]) -> FloatArray:
+    try:
+        return compute()
+    except LayerError:
+        raise
+    except UsdSkinError as error:
+        raise LayerError(f"{describe(prim)}: {error}") from None
+
+
+def _assigned_lamp(light: LightPrim, context: Context) -> tuple[FloatArray, float]:
+    """Return the lamp an RGB light is taken to be, and the Y that its white has."""
+    nm = context.wavelength_nm
+    spectral = light.spectral
+    if light.is_physical and spectral.source != "rgb":
+        # The proposal's illuminant colours the RGB light; custom pairs are radiance as authored.
+        lamp = constant_spectrum(light, context)
+        return lamp, context.luminance(lamp)
+    if context.illuminant is not None:
+        try:
+            return illuminant(context.illuminant, nm), 1.0
+        except UsdSkinError as error:
+            raise UsageError(f"--illuminant {context.illuminant}: {error}") from None
+    name = str(spectral.illuminant_file or spectral.illuminant or DEFAULT_ILLUMINANT)
+    return _named_at(light.prim, lambda: illuminant(name, nm)), 1.0
+
+
+def _tint(prim: Usd.Prim, context: Context) -> tuple[FloatArray, str]:
+    """Return the colour that multiplies an RGB light, and the linear space it does so in."""
+    attribute, value = light_input(prim, "color", context)
+    try:
+        color = np.array([1.0, 1.0, 1.0] if value is None else value, dtype=np.float64)
+    except (TypeError, ValueError):
+        color = np.array([np.nan])
+    if color.shape != (3,) or not np.isfinite(color).all() or color.min() < 0.0:
+        raise LayerError(
+            f"{describe(attribute)}: inputs:color is {value}; author three numbers that are not "
+            "negative"
+        )
+    space = said_color_space(attribute) or DEFAULT_COLOR_SPACE
+    space = linear_color_space(space)
+    if light_input(prim, "enableColorTemperature", context)[1]:
+        temperature = number(prim, "colorTemperature", context, minimum=1.0)
+        warm = np.array(UsdLux.BlackbodyTemperatureAsRgb(temperature), dtype=np.float64)
+        to_space = xyz_to_rgb(space) @ rgb_to_xyz(DEFAULT_COLOR_SPACE)
+        color = color * np.maximum(to_space @ warm, 0.0)
+    return color, space
+
+
+# --- Files and colour spaces -------------------------------------------------------------------
+
+
+def said_color_space(attribute: Usd.Attribute | None, inherited: bool = True) -> str | None:
+    """Return the colour space that an attribute is said to be in, by the name we know it by.
+
+    Args:
+        attribute: The attribute.
+        inherited: Whether ``ColorSpaceAPI`` on the prim or its ancestors counts.
+
+    Raises:
+        LayerError: An unknown colour space.
+    """
+    if not attribute:
+        return None
+    name = str(attribute.GetColorSpace())
+    if name in _UNSAID_COLOR_SPACES and inherited:
+        name = str(Usd.ColorSpaceAPI.ComputeColorSpaceName(attribute, None))
+    if name in _UNSAID_COLOR_SPACES:
+        return None
+    name = _COLOR_SPACE_ALIASES.get(name, name)
+    if name not in color_space_names():
+        raise LayerError(
+            f"{describe(attribute)}: {attribute.GetName()} is in color space {name!r}, which is "
+            f"unknown; use one of {', '.join(color_space_names())}"
+        )
+    return name
+
+
+def map_color_space(attribute: Usd.Attribute, of_file: str | None, sample_type: str) -> str:
+    """Return the colour space of a light map's pixels.
+
+    The strongest of: what the attribute says, what the file says, what ``ColorSpaceAPI`` says (of
+    a map in floating point), and sRGB for integers, linear Rec. 709 for the rest.
+    """
+    is_integer = sample_type in _INTEGER_SAMPLES
+    own = said_color_space(attribute, inherited=False)
+    if own is None and of_file is not None:
+        of_file = _COLOR_SPACE_ALIASES.get(of_file, of_file)
+        own = of_file if of_file in color_space_names() else None
+    if own is None and not is_integer:
+        own = said_color_space(attribute)
+    return own or ("srgb_rec709_scene" if is_integer else DEFAULT_COLOR_SPACE)
+
+
+def asset_file(attribute: Usd.Attribute | None, time: Usd.TimeCode) -> Path | None:
+    """Return the file an asset attribute names, None where it names none.
+
+    Raises:
+        ImageError: The file is not there; the message names layer, prim and path.
+    """
+    asset = attribute.Get(time) if attribute else None
+    if not isinstance(asset, Sdf.AssetPath) or not asset.path or attribute is None:
+        return None
+    if not asset.resolvedPath:
+        raise ImageError(
+            f"{describe(attribute)}: {attribute.GetName()} names @{asset.path}@, which is not "
+            "there; restore it or correct the path"
+        )
+    return Path(asset.resolvedPath)

@@ -1,0 +1,295 @@
+"""Materials of a stage as plain values: skin, and ``UsdPreviewSurface``.
+
+Reads:  Material prims with ``SkinMaterialAPI`` or a ``UsdPreviewSurface`` network
+        (``usdskin.render.networks``).
+Makes:  ``SkinMaterial`` and ``SurfaceMaterial``, whose inputs are constants, textures or primvars.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from usdskin.errors import LayerError
+from usdskin.layers import describe
+from usdskin.notes import Note
+from usdskin.prims import SkinParameters, check_applied_schemas, read_skin, read_spectrum
+from usdskin.render.inputs import Color, Input, PrimvarInput, TextureInput
+from usdskin.render.networks import FALLBACKS, NetworkReader, surface_of
+from usdskin.spectrum import SpectralQuantity, Spectrum
+
+# isort: split
+# After ours, which register the schemas.
+from pxr import Usd, UsdShade
+
+__all__ = [
+    "Color",
+    "Input",
+    "PrimvarInput",
+    "SkinMaterial",
+    "SurfaceMaterial",
+    "TextureInput",
+    "bound_material",
+    "display_material",
+    "read_materials",
+    "required_primvars",
+]
+
+THICKNESS_PRIMVAR = "skin:thickness"
+"""Primvar that wins over ``inputs:skin:thickness`` [m]."""
+
+DISPLAY_COLOR = (0.18, 0.18, 0.18)
+"""Grey of geometry without displayColor, the fallback of ``UsdPreviewSurface.diffuseColor``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceMaterial:
+    """A ``UsdPreviewSurface``; colors are linear, in the rendering space [1]."""
+
+    path: str
+    """Prim path; empty for ``display_material``."""
+
+    use_specular_workflow: bool = False
+    """Whether ``specular_color`` counts, or ``metallic`` and ``ior``."""
+
+    diffuse_color: Input = DISPLAY_COLOR
+    """Diffuse reflectance, or albedo where metallic [1]."""
+
+    specular_color: Input = (0.0, 0.0, 0.0)
+    """Reflectance at normal incidence, specular workflow only [1]."""
+
+    emissive_color: Input = (0.0, 0.0, 0.0)
+    """Emitted light; 1 is 1 nit, or the relative unit."""
+
+    metallic: Input = 0.0
+    """0..1 [1]."""
+
+    roughness: Input = 0.5
+    """GGX roughness before squaring, 0..1 [1]."""
+
+    clearcoat: Input = 0.0
+    """Amount of the second, white lobe, 0..1 [1]."""
+
+    clearcoat_roughness: Input = 0.01
+    """Its roughness before squaring, 0..1 [1]."""
+
+    opacity: Input = 1.0
+    """0..1 [1]."""
+
+    opacity_mode: str = "transparent"
+    """``transparent``: opacity scales the diffuse part; ``presence``: all of it."""
+
+    opacity_threshold: float = 0.0
+    """Where above 0: points below it are cut out, the others fully opaque [1]."""
+
+    ior: float = 1.5
+    """Index of refraction [1]."""
+
+    reflectance: Spectrum | None = None
+    """Spectral reflectance that takes the place of ``diffuse_color`` [1]."""
+
+    reflective: bool = True
+    """False for what has no specular reflection at all: displayColor."""
+
+    def inputs(self) -> tuple[Input, ...]:
+        """Return all inputs that may vary over the surface."""
+        return (
+            self.diffuse_color,
+            self.specular_color,
+            self.emissive_color,
+            self.metallic,
+            self.roughness,
+            self.clearcoat,
+            self.clearcoat_roughness,
+            self.opacity,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinMaterial:
+    """A Material with ``SkinMaterialAPI``, whatever other shaders it has."""
+
+    path: str
+    """Prim path."""
+
+    parameters: SkinParameters
+    """What the prim says."""
+
+    albedo: TextureInput | None = None
+    """RGB texture of S."""
+
+    weights: TextureInput | None = None
+    """Texture of the first four weights of ``parameters.weights_basis``."""
+
+    weights_high: TextureInput | None = None
+    """Texture of the weights from the fifth to the eighth, where the basis has so many."""
+
+    thickness_primvar: str | None = None
+    """Primvar that wins over ``parameters.thickness``; None where the thickness has no effect."""
+
+    def inputs(self) -> tuple[Input, ...]:
+        """Return all inputs that may vary over the surface."""
+        found: list[Input] = [
+            item for item in (self.albedo, self.weights, self.weights_high) if item is not None
+        ]
+        if self.thickness_primvar is not None:
+            found.append(PrimvarInput(self.thickness_primvar, (self.parameters.thickness,)))
+        return tuple(found)
+
+
+def display_material() -> SurfaceMaterial:
+    """Return what shows geometry without a material: displayColor and displayOpacity, matte."""
+    return SurfaceMaterial(
+        path="",
+        diffuse_color=PrimvarInput("displayColor", DISPLAY_COLOR),
+        opacity=PrimvarInput("displayOpacity", (1.0,)),
+        reflective=False,
+    )
+
+
+def required_primvars(materials: Iterable[SkinMaterial | SurfaceMaterial]) -> frozenset[str]:
+    """Return the names of the primvars that materials read."""
+    names = set()
+    for material in materials:
+        for value in material.inputs():
+            if isinstance(value, TextureInput):
+                names.add(value.primvar)
+            elif isinstance(value, PrimvarInput):
+                names.add(value.name)
+    return frozenset(names)
+
+
+def bound_material(prim: Usd.Prim, purposes: Sequence[str] = ("full", "")) -> str | None:
+    """Return the path of the material a prim shows, its ancestors' bindings included.
+
+    Collection bindings and ``strongerThanDescendants`` count as ``UsdShade`` says.
+
+    Args:
+        prim: A gprim or a GeomSubset.
+        purposes: Material purposes, the preferred one first; ``""`` is all purposes.
+    """
+    binding = UsdShade.MaterialBindingAPI(prim)
+    for purpose in purposes:
+        material, relationship = binding.ComputeBoundMaterial(purpose)
+        # A search for "full" also gives what is bound for all purposes, whose turn comes later.
+        if material and _purpose_of(relationship) == purpose:
+            return str(material.GetPath())
+    return None
+
+
+def _purpose_of(relationship: Usd.Relationship) -> str:
+    """Return the purpose in ``material:binding[:collection][:<purpose>][:<collection's name>]``."""
+    parts = relationship.GetName().split(":")[2:]
+    if parts[:1] == ["collection"]:
+        return parts[1] if len(parts) > 2 else ""
+    return parts[0] if parts else ""
+
+
+def read_materials(
+    stage: Usd.Stage,
+    paths: Iterable[str],
+    time: Usd.TimeCode | float,
+    notes: list[Note],
+    color_space: str = "lin_rec709_scene",
+) -> dict[str, SurfaceMaterial | SkinMaterial]:
+    """Read materials at one moment.
+
+    Args:
+        stage: The stage.
+        paths: Prim paths of Materials, as ``bound_material`` gives them.
+        time: When.
+        notes: Takes what a material says and the picture does not show.
+        color_space: The rendering space, which constant colors are converted to.
+
+    Returns:
+        Materials by path, in the order of ``paths``. One that cannot be shown is
+        ``display_material`` under its own path, with a note.
+
+    Raises:
+        LayerError: A value cannot be used, a texture is missing, or connections form a loop.
+    """
+    reader = NetworkReader(stage, time, notes, color_space)
+    return {path: _read_material(stage, str(path), time, reader, notes) for path in paths}
+
+
+def _read_material(
+    stage: Usd.Stage,
+    path: str,
+    time: Usd.TimeCode | float,
+    reader: NetworkReader,
+    notes: list[Note],
+) -> SurfaceMaterial | SkinMaterial:
+    prim = stage.GetPrimAtPath(path)
+    if not prim or not prim.IsA(UsdShade.Material):
+        raise LayerError(
+            f"{stage.GetRootLayer().GetDisplayName()} <{path}>: is no Material; bind another"
+        )
+    check_applied_schemas(prim)
+    if prim.HasAPI("SkinMaterialAPI"):
+        return _read_skin_material(prim, time, notes)
+    surface = surface_of(reader, prim)
+    if surface is None:
+        return dataclasses.replace(display_material(), path=path)
+    reflectance = read_spectrum(prim, "reflectance", time, (SpectralQuantity.REFLECTANCE,))
+    return _read_surface(path, surface, reader, reflectance)
+
+
+def _read_surface(
+    path: str, surface: UsdShade.Shader, reader: NetworkReader, reflectance: Spectrum | None
+) -> SurfaceMaterial:
+    reader.note_unshown(surface)
+    return SurfaceMaterial(
+        path=path,
+        use_specular_workflow=reader.whole(surface, "useSpecularWorkflow") != 0,
+        diffuse_color=reader.color(surface, "diffuseColor"),
+        specular_color=reader.color(surface, "specularColor"),
+        emissive_color=reader.color(surface, "emissiveColor"),
+        metallic=reader.share(surface, "metallic"),
+        roughness=reader.share(surface, "roughness"),
+        clearcoat=reader.share(surface, "clearcoat"),
+        clearcoat_roughness=reader.share(surface, "clearcoatRoughness"),
+        opacity=reader.share(surface, "opacity"),
+        opacity_mode=reader.token(
+            surface, "opacityMode", str(FALLBACKS["opacityMode"]), ("transparent", "presence")
+        ),
+        opacity_threshold=reader.constant(surface, "opacityThreshold", 0.0, 1.0),
+        ior=reader.constant(surface, "ior", 0.0, 100.0),
+        reflectance=reflectance,
+    )
+
+
+def _read_skin_material(
+    prim: Usd.Prim, time: Usd.TimeCode | float, notes: list[Note]
+) -> SkinMaterial:
+    parameters = read_skin(prim, time)
+    path = str(prim.GetPath())
+    for attribute in prim.GetAuthoredAttributes():
+        if attribute.GetName().startswith("inputs:skin:") and attribute.HasAuthoredConnections():
+            what = f"{attribute.GetName()} is connected; its own value is shown"
+            notes.append(Note("connection-ignored", path, what))
+    albedo = weights = high = None
+    if parameters.albedo_file is not None and parameters.weights_file is not None:
+        raise LayerError(
+            f"{describe(prim)}: has both inputs:skin:albedo:file and inputs:skin:weights:file; "
+            "remove one of them"
+        )
+    if parameters.albedo_file is not None:
+        albedo = TextureInput(
+            parameters.albedo_file,
+            source_color_space=parameters.albedo_color_space,
+            primvar=parameters.texcoord,
+        )
+    if parameters.weights_file is not None:
+        weights = TextureInput(
+            parameters.weights_file,
+            channel="rgba",
+            source_color_space="raw",
+            primvar=parameters.texcoord,
+        )
+        if parameters.weights_basis is not None and len(parameters.weights_basis) > 4:
+            high = dataclasses.replace(weights, first_channel=4)
+    # Without opacity light from behind passes unweakened, however long its way.
+    opaque = isinstance(parameters.opacity, Spectrum) or parameters.opacity > 0.0
+    thickness = THICKNESS_PRIMVAR if opaque else None
+    return SkinMaterial(path, parameters, albedo, weights, high, thickness)

@@ -1,0 +1,80 @@
+"""How much memory a picture takes, and how much there is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from usdskin.errors import DeviceError
+
+if TYPE_CHECKING:
+    from usdskin.render.products import Product
+
+_AOV_CHANNELS = {"Z": 1, "primId": 1, "st": 2}
+_BYTES = 4
+_BEAUTY_CHANNELS = 8
+"""Accumulated XYZ and alpha, and the RGBA that is written."""
+
+
+def picture_bytes(product: Product, band_count: int) -> int:
+    """Return the size of a product's pixel arrays [B]: one float32 copy of everything written."""
+    width, height = product.resolution
+    channels = _BEAUTY_CHANNELS + sum(_AOV_CHANNELS.get(aov.source, 3) for aov in product.aovs)
+    if product.spectral is not None:
+        channels += band_count
+    return width * height * channels * _BYTES
+
+
+def available_bytes() -> int | None:
+    """Return the memory this process may still take [B]; None where the system does not say."""
+    limits = [limit for limit in (_meminfo(), _control_group()) if limit is not None]
+    return min(limits, default=None)
+
+
+def check_memory(product: Product, band_count: int) -> None:
+    """Refuse a picture that cannot fit, before anything is allocated.
+
+    Raises:
+        DeviceError: The product's pixels need more memory than there is.
+    """
+    needed, there = picture_bytes(product, band_count), available_bytes()
+    if there is not None and needed > there:
+        width, height = product.resolution
+        bands = f" with {band_count} bands" if product.spectral is not None else ""
+        raise DeviceError(
+            f"{product.files[0]}: {width} x {height} pixels{bands} need {needed / 2**30:.1f} GiB "
+            f"and {there / 2**30:.1f} GiB are free; make the picture smaller with -w."
+        )
+
+
+def _meminfo() -> int | None:
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    except (OSError, ValueError, IndexError):
+        pass
+    return None
+
+
+def _control_group() -> int | None:
+    """Return what a container's limit leaves [B] (cgroup v2, then v1)."""
+    for folder, limit, usage in (
+        (Path("/sys/fs/cgroup"), "memory.max", "memory.current"),
+        (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes", "memory.usage_in_bytes"),
+    ):
+        try:
+            used = int((folder / usage).read_text()) - _reclaimable(folder)
+            return max(0, int((folder / limit).read_text()) - used)
+        except (OSError, ValueError):  # no such file, or "max"
+            continue
+    return None
+
+
+def _reclaimable(folder: Path) -> int:
+    """Return the file cache that the kernel drops when memory is wanted [B]."""
+    for line in (folder / "memory.stat").read_text().splitlines():
+        name, _, value = line.partition(" ")
+        if name in ("inactive_file", "total_inactive_file"):
+            return int(value)
+    return 0

@@ -1,0 +1,198 @@
+"""UsdShade networks of the preview nodes, followed from a surface's inputs to their sources.
+
+The nodes are those of the UsdPreviewSurface specification 2.6: UsdPreviewSurface, UsdUVTexture,
+UsdPrimvarReader and UsdTransform2d.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdskin.errors import LayerError
+from usdskin.layers import describe
+from usdskin.notes import Note
+from usdskin.render.inputs import Color, Four, Input, PrimvarInput, TextureInput
+
+# isort: split
+# After ours, which register the schemas.
+from pxr import Gf, Sdf, Usd, UsdShade
+
+FALLBACKS: dict[str, float | str | Color] = {
+    "diffuseColor": (0.18, 0.18, 0.18),
+    "specularColor": (0.0, 0.0, 0.0),
+    "emissiveColor": (0.0, 0.0, 0.0),
+    "useSpecularWorkflow": 0.0,
+    "metallic": 0.0,
+    "roughness": 0.5,
+    "clearcoat": 0.0,
+    "clearcoatRoughness": 0.01,
+    "opacity": 1.0,
+    "opacityMode": "transparent",
+    "opacityThreshold": 0.0,
+    "ior": 1.5,
+}
+"""Fallbacks of UsdPreviewSurface."""
+
+_READERS = {
+    f"UsdPrimvarReader_{kind}": width
+    for kind, width in (
+        ("float", 1), ("float2", 2), ("float3", 3), ("float4", 4), ("int", 1),
+        ("normal", 3), ("point", 3), ("vector", 3),
+    )
+}  # fmt: skip
+"""Primvar readers a color or a number can come from, and the width of their fallback."""
+
+def surface_of(reader: NetworkReader, prim: Usd.Prim) -> UsdShade.Shader | None:
+    """Return the UsdPreviewSurface of a Material, or None, with a note, where it has none."""
+    material = UsdShade.Material(prim)
+    reader.note_outputs(material)
+    output = material.GetSurfaceOutput()
+    source = reader.follow(output.GetAttr()) if output else None
+    shader = UsdShade.Shader(source.GetPrim()) if source and is_node_output(source) else None
+    if shader and shader.GetShaderId() == "UsdPreviewSurface":
+        return shader
+    others = [
+        str(item.GetFullName()).removeprefix("outputs:").removesuffix(":surface")
+        for item in material.GetSurfaceOutputs()
+        if item.GetAttr() != output.GetAttr() and item.HasConnectedSource()
+    ]
+    if shader:
+        what = f"the surface shader {shader_name(shader)} is not known"
+    elif others:
+        what = f"it has shaders for {', '.join(others)} only, and no UsdPreviewSurface"
+    else:
+        reader.note("material-without-surface", prim, "no surface; displayColor is shown")
+        return None
+    reader.note("shader-not-supported", prim, f"{what}; displayColor is shown")
+    return None
+
+
+class NetworkReader:
+    """Reads the inputs of shaders at one moment."""
+
+    def note_outputs(self, material: UsdShade.Material) -> None:
+        """Note what a material has besides a surface."""
+        if material.GetVolumeOutput().HasConnectedSource():
+            self.note("volume-ignored", material.GetPrim(), "a volume is connected; not shown")
+        for output in material.GetDisplacementOutputs():
+            source = self.follow(output.GetAttr())
+            if not is_node_output(source):
+                continue
+            shader = UsdShade.Shader(source.GetPrim())
+            flat = shader.GetShaderId() == "UsdPreviewSurface" and not self._displaces(shader)
+            if not flat:
+                what = "a displacement is connected; the surface stays where it is"
+                self.note("displacement-ignored", material.GetPrim(), what)
+
+    def _displaces(self, shader: UsdShade.Shader) -> bool:
+        source = self.source(shader, "displacement")
+        return source is not None and (is_node_output(source) or bool(self.value(source)))
+
+    def note_unshown(self, shader: UsdShade.Shader) -> None:
+        """Note inputs of a UsdPreviewSurface that have no effect here."""
+        normal = self.source(shader, "normal")
+        if normal is not None and is_node_output(normal):
+            what = "inputs:normal is connected; the geometry's own normals are shown"
+            self.note("normal-map-ignored", shader.GetPrim(), what)
+        occlusion = self.source(shader, "occlusion")
+        if occlusion is not None and (
+            is_node_output(occlusion) or self.value(occlusion) not in (None, 1.0)
+        ):
+            what = "inputs:occlusion is set; no baked occlusion is shown"
+            self.note("occlusion-ignored", shader.GetPrim(), what)
+
+    def color(self, shader: UsdShade.Shader, name: str) -> Input:
+        """Return a color input of a UsdPreviewSurface.
+
+        Raises:
+            LayerError: Its value is no color, or what it comes from cannot be read.
+        """
+        fallback = FALLBACKS[name]
+        assert isinstance(fallback, tuple)
+        source = self.source(shader, name)
+        if source is None:
+            return fallback
+        if is_node_output(source):
+            node = self._node(shader, name, source, "rgb", 3)
+            if node is not None:
+                return node
+            source = shader.GetInput(name).GetAttr()
+            if not source.HasAuthoredValue():
+                return fallback
+        values = self.numbers(source, 3)
+        if min(values) < 0.0:
+            what = f"{name} is {values}; negative parts are shown as 0"
+            self.note("value-out-of-range", shader.GetPrim(), what)
+        red, green, blue = (max(value, 0.0) for value in values)
+        return self._converted(source, (red, green, blue))
+
+    def _converted(self, attribute: Usd.Attribute, color: Color) -> Color:
+        """Return a constant in the rendering space; without a word on it, it is linear Rec.709."""
+        name = str(Usd.ColorSpaceAPI.ComputeColorSpaceName(attribute, None))
+        if name in ("", "identity", "unknown", "raw", "data"):
+            name = "lin_rec709_scene" if name == "" else self.color_space
+        if name == self.color_space or not any(color):
+            return color
+        if not Gf.ColorSpace.IsValid(name):
+            what = f"the color space {name} is not known; taken as linear Rec.709"
+            self.note("color-space-not-supported", attribute, what)
+            name = "lin_rec709_scene"
+        source, target = Gf.ColorSpace(name), Gf.ColorSpace(self.color_space)
+        red, green, blue = target.Convert(source, Gf.Vec3f(*color)).GetRGB()
+        return float(red), float(green), float(blue)
+
+    def share(self, shader: UsdShade.Shader, name: str) -> Input:
+        """Return an input that runs from 0 to 1; constants beyond are cut off, with a note.
+
+        Raises:
+            LayerError: Its value is no number, or what it comes from cannot be read.
+        """
+        source = self.source(shader, name)
+        if source is not None and is_node_output(source):
+            node = self._node(shader, name, source, "r", 1)
+            if node is not None:
+                return node
+        return self.constant(shader, name, 0.0, 1.0)
+
+    def constant(self, shader: UsdShade.Shader, name: str, low: float, high: float) -> float:
+        """Return an input that cannot vary here; one that is connected to a shader is noted."""
+        fallback = FALLBACKS[name]
+        assert isinstance(fallback, float)
+        source = self.source(shader, name)
+        if source is not None and is_node_output(source):
+            source = shader.GetInput(name).GetAttr()
+            if name in ("ior", "opacityThreshold", "useSpecularWorkflow"):
+                what = f"inputs:{name} is connected to a shader; its own value is shown"
+                self.note("connection-ignored", shader.GetPrim(), what)
+            source = source if source.HasAuthoredValue() else None
+        if source is None:
+            return fallback
+        (value,) = self.numbers(source, 1)
+        if not low <= value <= high:
+            what = f"{name} is {value:g}; shown as {min(max(value, low), high):g}"
+            self.note("value-out-of-range", shader.GetPrim(), what)
+        return min(max(value, low), high)
+
+    def whole(self, shader: UsdShade.Shader, name: str) -> int:
+        """Return an input that is a whole number or a switch."""
+        return int(self.constant(shader, name, 0.0, 1.0))
+
+    def _node(
+        self, shader: UsdShade.Shader, name: str, source: Usd.Attribute, channel: str, width: int
+    ) -> Input | None:
+        """Return the texture or primvar an input is connected to; None, with a note, for others."""
+        node = UsdShade.Shader(source.GetPrim())
+        identifier = node.GetShaderId()
+        if identifier == "UsdUVTexture":
+            return self._texture(node, source, channel)
+        if identifier in _READERS:
+            return self._primvar(node, _READERS[identifier], width)
+        what = f"inputs:{name} comes from a shader {shader_name(node)}; its own value is shown"
+        self.note("shader-not-supported", shader.GetPrim(), what)
+        return None
+

@@ -1,0 +1,201 @@
+"""A picture's arrays as the files a product asks for.
+
+Writes: ``OUT.exr`` (beauty and data parts), ``OUT.spectral.exr`` and ``OUT.png``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdskin import __version__
+from usdskin.colorimetry import xyz_to_rgb
+from usdskin.image_output import Part, write_exr, write_spectral_exr
+from usdskin.render.cameras import Camera
+from usdskin.render.integrate import DeviceScene, Picture
+from usdskin.render.preview import render_png
+from usdskin.render.products import Product
+from usdskin.render.settings import RenderSettings
+
+FloatImage = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """What the headers of a picture tell about where it came from."""
+
+    stage: str
+    """File name of the stage."""
+
+    frame: float | None
+    digest: str
+    """Hash of the settings."""
+
+    prim_paths: tuple[str, ...]
+    """Path of every primId."""
+
+    absolute: bool
+    """Whether radiance is in W m^-2 sr^-1 nm^-1."""
+
+    scene_white: NDArray[np.float64]
+    """XYZ of a perfect diffuser under the mean light, shape [3]."""
+
+
+def exposed_rgb(picture: Picture, camera: Camera, settings: RenderSettings) -> FloatImage:
+    """Return the beauty: linear RGB of the rendering space at the camera's exposure, and alpha."""
+    matrix = xyz_to_rgb(settings.color_space) * camera.exposure_scale
+    beauty = np.empty_like(picture.xyza)
+    np.matmul(picture.xyza[..., :3], matrix.T.astype(np.float32), out=beauty[..., :3])
+    beauty[..., 3] = picture.xyza[..., 3]
+    return beauty
+
+
+def write_picture(
+    product: Product,
+    files: dict[str, Path],
+    picture: Picture,
+    data: dict[str, FloatImage],
+    scene: DeviceScene,
+    camera: Camera,
+    settings: RenderSettings,
+    shot: Shot,
+) -> list[Path]:
+    """Write the files of one product at one frame; each appears whole or not at all.
+
+    Args:
+        product: What to write.
+        files: File of each kind that is wanted: ``exr``, ``spectral``, ``png``.
+        picture: The rendered arrays.
+        data: Pixel-centre data (``collect_data``).
+        scene: The scene it was rendered from.
+        camera: The camera it was rendered through.
+        settings: The settings it was rendered with.
+        shot: What goes into the headers.
+
+    Returns:
+        The files written, in order.
+    """
+    beauty = exposed_rgb(picture, camera, settings)
+    header = _header(shot, product, settings, camera)
+    written = []
+    if "exr" in files:
+        parts = []
+        if product.beauty:
+            parts.append(
+                Part(
+                    "beauty",
+                    {"": beauty},
+                    header,
+                    "half" if product.half else "float",
+                    settings.color_space,
+                )
+            )
+        for aov in product.aovs:
+            parts.append(_data_part(aov.name, aov.source, data, scene, settings, shot))
+        write_exr(
+            files["exr"],
+            parts,
+            settings.compression,
+            pixel_aspect_ratio=product.pixel_aspect_ratio,
+        )
+        written.append(files["exr"])
+    if "spectral" in files:
+        if picture.spectrum is None:
+            raise ValueError("the picture was rendered without spectra")
+        write_spectral_exr(
+            files["spectral"],
+            settings.wavelength_nm,
+            picture.spectrum,
+            beauty,
+            "W.m^-2.sr^-1.nm^-1" if shot.absolute else "relative",
+            header,
+            settings.compression,
+            color_space=settings.color_space,
+            pixel_aspect_ratio=product.pixel_aspect_ratio,
+        )
+        written.append(files["spectral"])
+    if "png" in files:
+        render_png(
+            files["png"],
+            beauty,
+            color_space=settings.color_space,
+            ev=settings.ev,
+            white=settings.white,
+            scene_white_xyz=shot.scene_white,
+            view=settings.view,
+            metadata=header,
+        )
+        written.append(files["png"])
+    return written
+
+
+def _header(
+    shot: Shot, product: Product, settings: RenderSettings, camera: Camera
+) -> dict[str, str]:
+    header = {
+        "usdskin/version": __version__,
+        "usdskin/stage": shot.stage,
+        "usdskin/camera": camera.path,
+        "usdskin/seed": str(settings.seed),
+        "usdskin/samples": str(settings.samples_per_pixel),
+        "usdskin/integrator": settings.integrator,
+        "usdskin/observer": settings.observer,
+        "usdskin/units": "W.m^-2.sr^-1.nm^-1" if shot.absolute else "relative",
+        "usdskin/exposureScale": repr(float(camera.exposure_scale)),
+        "usdskin/settingsHash": shot.digest,
+    }
+    if shot.frame is not None:
+        header["usdskin/frame"] = f"{shot.frame:g}"
+    if product.prim_path:
+        header["usdskin/product"] = product.prim_path
+    return header
+
+
+def _data_part(
+    name: str,
+    source: str,
+    data: dict[str, FloatImage],
+    scene: DeviceScene,
+    settings: RenderSettings,
+    shot: Shot,
+) -> Part:
+    if source == "N":
+        return Part(name, {"N": data["normal"]})
+    if source == "P":
+        return Part(name, {"P": data["position"]})
+    if source == "Z":
+        return Part(name, {"Z": data["depth"]})
+    if source == "st":
+        return Part(name, {"st": data["st"]})
+    if source == "albedo":
+        return Part(name, {"albedo": _albedo(data, scene)}, {}, "float", settings.color_space)
+    if source == "irradiance":
+        rgb = data["irradiance"] @ xyz_to_rgb(settings.color_space).T.astype(np.float32)
+        return Part(name, {"irradiance": rgb}, {}, "float", settings.color_space)
+    if source == "primId":
+        face = data["face"]
+        ids = np.zeros(face.shape, np.uint32)
+        ids[face >= 0] = scene.face_prim[face[face >= 0]] + 1
+        names = {"usdskin/primIds": "\n".join(f"{k + 1} {p}" for k, p in enumerate(shot.prim_paths))}
+        return Part(name, {"primId": ids}, names, "uint")
+    raise ValueError(f"unknown data part {source!r}")
+
+
+def _albedo(data: dict[str, FloatImage], scene: DeviceScene) -> FloatImage:
+    """Return the RGB reflectance under D65 of what the pixel's middle sees."""
+    face = data["face"]
+    result = np.zeros((*face.shape, 3), np.float32)
+    material = np.where(face >= 0, scene.face_material[np.maximum(face, 0)], -1)
+    for index in np.unique(material[material >= 0]):
+        bases = scene.albedo[index]
+        at = material == index
+        weights = data["base"][at]
+        if len(bases) == 1:
+            result[at] = bases[0]
+        else:
+            count = min(len(bases), 4)
+            result[at] = weights[:, :count] @ bases[:count]
+    return result

@@ -1,0 +1,195 @@
+"""Render a stage: one picture per product and frame.
+
+Reads:  any stage.
+Writes: the files its products name (``usdskin.render.outputs``); nothing of the stage.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdskin.colorimetry import xyz_weights
+from usdskin.errors import FramesError, UsdSkinError
+from usdskin.frames import frame_path
+from usdskin.layers import open_stage
+from usdskin.notes import Note
+from usdskin.progress import Progress
+from usdskin.render.cameras import read_camera
+from usdskin.render.device import Workers, open_workers
+from usdskin.render.integrate import DeviceScene, collect_data, integrate
+from usdskin.render.light_maps import LightField
+from usdskin.render.outputs import Shot, write_picture
+from usdskin.render.overrides import RenderOverrides, apply_overrides
+from usdskin.render.products import Product
+from usdskin.render.scene import Scene, read_scene, upload
+from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
+
+# isort: split
+# After ours, which register the schemas.
+from pxr import Usd
+
+
+def render_stage(
+    stage_path: Path, output: Path | None, overrides: RenderOverrides, progress: Progress
+) -> RenderReport:
+    """Render the products of a stage, or one picture to ``output``.
+
+    Args:
+        stage_path: Layer to open; it is read, never changed.
+        output: Picture to write instead of the stage's products; may hold ``####``.
+        overrides: What flags say.
+        progress: Told about the work.
+
+    Raises:
+        UsdSkinError: The stage, an option or a file cannot be used, and no frame was rendered.
+    """
+    begun = clock.perf_counter()
+    notes: list[Note] = []
+    stage = open_stage(stage_path, notes)
+    apply_overrides(stage, overrides)
+    job = resolve_settings(stage, overrides, output, notes)
+    workers = open_workers(job.settings.device, job.settings.threads)
+    report = RenderReport([], notes, {"open": clock.perf_counter() - begun})
+    for frame in job.frames:
+        try:
+            _render_frame(stage, job, frame, workers, progress, report)
+        except UsdSkinError as error:
+            if len(job.frames) == 1:
+                raise
+            report.failures[f"{frame.number:g}"] = str(error)
+    if report.failures and len(report.failures) == len(job.frames):
+        number, reason = next(iter(report.failures.items()))
+        raise FramesError(f"every frame failed; the first, {number}: {reason}")
+    _drop_repeated(notes)
+    return report
+
+
+def _drop_repeated(notes: list[Note]) -> None:
+    """Keep one of each note: every frame and product finds the same."""
+    notes[:] = dict.fromkeys(notes)
+
+
+def _render_frame(
+    stage: Usd.Stage,
+    job: RenderJob,
+    frame: Frame,
+    workers: Workers,
+    progress: Progress,
+    report: RenderReport,
+) -> None:
+    wanted = [(product, _files(product, frame, job)) for product in job.products]
+    wanted = [(product, files) for product, files in wanted if files]
+    if not wanted:
+        return
+    seconds = report.seconds
+    begun = clock.perf_counter()
+    scene = read_scene(stage, frame.time, job.settings, report.notes)
+    begun = _lap(seconds, "read", begun)
+    # Straight alpha needs the dome hidden, and every EXR has alpha.
+    show_dome = job.settings.dome == "show"
+    device_scene, light = upload(scene, workers, show_dome=show_dome)
+    _lap(seconds, "bake", begun)
+    for product, files in wanted:
+        _render_product(
+            stage, job, frame, product, files, scene, device_scene, light, workers, progress, report
+        )
+
+
+def _files(product: Product, frame: Frame, job: RenderJob) -> dict[str, Path]:
+    """Return the files of a product that are still to be written, by kind."""
+    templates = {"exr": product.exr, "spectral": product.spectral, "png": product.png}
+    files = {
+        kind: frame_path(template, frame.number)
+        for kind, template in templates.items()
+        if template is not None
+    }
+    if job.settings.skip_existing and all(path.exists() for path in files.values()):
+        return {}
+    return files
+
+
+def _render_product(
+    stage: Usd.Stage,
+    job: RenderJob,
+    frame: Frame,
+    product: Product,
+    files: dict[str, Path],
+    scene: Scene,
+    device_scene: DeviceScene,
+    light: LightField,
+    workers: Workers,
+    progress: Progress,
+    report: RenderReport,
+) -> None:
+    settings, seconds = job.settings, report.seconds
+    begun = clock.perf_counter()
+    camera = read_camera(
+        stage,
+        product.camera,
+        frame.time,
+        product.resolution,
+        product.pixel_aspect_ratio,
+        product.conform_policy,
+        report.notes,
+    )
+    picture = integrate(
+        device_scene,
+        camera,
+        product.resolution,
+        settings.samples_per_pixel,
+        settings.pixel_filter,
+        workers,
+        progress,
+        spectral=product.spectral is not None,
+        show_dome=settings.dome == "show",
+    )
+    sources = {aov.source for aov in product.aovs}
+    data = (
+        collect_data(
+            device_scene, camera, product.resolution, workers, irradiance="irradiance" in sources
+        )
+        if sources
+        else {}
+    )
+    begun = _lap(seconds, "render", begun)
+    shot = Shot(
+        Path(stage.GetRootLayer().identifier).name,
+        frame.number,
+        job.digest(product),
+        tuple(mesh.path for mesh in scene.meshes),
+        scene.lights.absolute,
+        scene_white(scene),
+    )
+    report.paths.extend(
+        write_picture(product, files, picture, data, device_scene, camera, settings, shot)
+    )
+    _lap(seconds, "write", begun)
+
+
+def _lap(seconds: dict[str, float], part: str, begun: float) -> float:
+    now = clock.perf_counter()
+    seconds[part] = seconds.get(part, 0.0) + now - begun
+    return now
+
+
+def scene_white(scene: Scene) -> NDArray[np.float64]:
+    """Return the XYZ of a perfect diffuser that sees all of the light alike.
+
+    The mean over the sphere: 1/pi times the quarter of the total flux that a diffuser receives on
+    average over its orientations.
+    """
+    weights = xyz_weights(scene.frame.wavelength_nm, scene.frame.observer, scene.frame.absolute)  # type: ignore[arg-type]
+    total = np.zeros(3)
+    for dome in scene.lights.domes:
+        height = dome.coefficients.shape[0]
+        polar = np.pi * np.arange(height + 1) / height
+        area = (np.cos(polar[:-1]) - np.cos(polar[1:])) * 2.0 * np.pi
+        mean = dome.coefficients.mean(axis=1, dtype=np.float64)
+        total += (area @ mean) @ dome.basis @ weights
+    for distant in scene.lights.distants:
+        total += distant.irradiance @ weights
+    return np.asarray(total / (4.0 * np.pi))

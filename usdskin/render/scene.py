@@ -1,0 +1,282 @@
+"""A stage at one moment as arrays: triangles in world space, materials and lights.
+
+Reads: any stage. Makes: ``Scene``, which knows no USD, and from it ``DeviceScene``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from usdskin.errors import LayerError
+from usdskin.layers import describe
+from usdskin.notes import Note
+from usdskin.render.device import Workers
+from usdskin.render.gloss import LADDER, add_reflections, show_domes
+from usdskin.render.gprims import is_gprim, read_gprim, unsupported_note
+from usdskin.render.integrate import DeviceScene
+from usdskin.render.light_maps import LightField, build_light_field
+from usdskin.render.lights import Lights, read_lights
+from usdskin.render.materials import (
+    PrimvarInput,
+    SkinMaterial,
+    SurfaceMaterial,
+    bound_material,
+    display_material,
+    read_materials,
+    required_primvars,
+)
+from usdskin.render.meshes import MeshArrays, read_mesh
+from usdskin.render.settings import RenderSettings
+from usdskin.render.surfaces import SpectralFrame, build_surfaces, gloss_alphas, wraps_of
+from usdskin.warp_kernels import structs
+
+# isort: split
+# After ours, which register the schemas.
+from pxr import Usd, UsdGeom
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A stage at one moment, in metres, in the stage's own axes."""
+
+    meshes: tuple[MeshArrays, ...]
+    materials: tuple[SkinMaterial | SurfaceMaterial, ...]
+    """Distinct materials; the last one shows displayColor and is what nothing else is bound to."""
+
+    material_index: dict[str | None, int]
+    """Index into ``materials`` by path."""
+
+    lights: Lights
+    frame: SpectralFrame
+
+    @property
+    def triangle_count(self) -> int:
+        """Number of triangles of all meshes."""
+        return sum(len(mesh.triangles) for mesh in self.meshes)
+
+
+def read_scene(
+    stage: Usd.Stage, time: Usd.TimeCode, settings: RenderSettings, notes: list[Note]
+) -> Scene:
+    """Read what a picture shows.
+
+    Args:
+        stage: The stage.
+        time: When.
+        settings: Purposes, mask, subdivision level, wavelengths.
+        notes: What cannot be shown is appended.
+
+    Raises:
+        LayerError: Something cannot be used, or nothing gives light.
+    """
+    lights = read_lights(
+        stage,
+        time,
+        settings.wavelength_nm,
+        settings.observer,
+        settings.illuminant,
+        settings.bad_pixels,
+        notes,
+    )
+    if not lights.domes and not lights.distants:
+        raise LayerError(
+            f"{stage.GetRootLayer().identifier}: no light shines; add a DomeLight or a "
+            "DistantLight, or make one visible."
+        )
+    prims = list(_visible_gprims(stage, time, settings, notes))
+    bindings: dict[str, str | None] = {}
+
+    def material_of(prim: Usd.Prim) -> str | None:
+        path = str(prim.GetPath())
+        if path not in bindings:
+            bindings[path] = bound_material(prim, settings.material_purposes)
+        return bindings[path]
+
+    paths = _bound_paths(prims, material_of)
+    known = read_materials(stage, paths, time, notes)
+    materials = (*known.values(), display_material())
+    index: dict[str | None, int] = {path: k for k, path in enumerate(known)}
+    index[None] = len(materials) - 1
+    names = required_primvars(materials) | {"st"}
+    cache = UsdGeom.XformCache(time)
+    scale = UsdGeom.GetStageMetersPerUnit(stage)
+    meshes = []
+    for prim in prims:
+        to_world = np.array(cache.GetLocalToWorldTransform(prim)).T
+        to_world[:3] *= scale
+        reader = read_mesh if prim.IsA(UsdGeom.Mesh) else read_gprim
+        mesh = reader(
+            prim, time, to_world, settings.subdivision_level, names, material_of, notes
+        )
+        if mesh is not None and len(mesh.triangles):
+            meshes.append(mesh)
+    frame = SpectralFrame(
+        settings.wavelength_nm, settings.observer, lights.absolute, settings.color_space
+    )
+    return Scene(tuple(meshes), materials, index, lights, frame)
+
+
+def _visible_gprims(
+    stage: Usd.Stage, time: Usd.TimeCode, settings: RenderSettings, notes: list[Note]
+) -> Iterable[Usd.Prim]:
+    """Yield the gprims to draw: visible, of a wanted purpose, inside the mask."""
+    purposes = {purpose for purpose in settings.purposes} | {"default"}
+    walk = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
+    for prim in walk:
+        note = unsupported_note(prim)
+        if note is not None:
+            notes.append(note)
+            if prim.IsA(UsdGeom.PointInstancer):
+                walk.PruneChildren()
+            continue
+        if not is_gprim(prim) or not _in_mask(str(prim.GetPath()), settings.mask):
+            continue
+        imageable = UsdGeom.Imageable(prim)
+        if imageable.ComputeVisibility(time) == UsdGeom.Tokens.invisible:
+            continue
+        if imageable.ComputePurpose() not in purposes:
+            continue
+        yield prim
+
+
+def _in_mask(path: str, mask: tuple[str, ...] | None) -> bool:
+    if mask is None:
+        return True
+    return any(path == root or path.startswith(root.rstrip("/") + "/") for root in mask)
+
+
+def _bound_paths(prims: list[Usd.Prim], material_of: object) -> list[str]:
+    """Return the paths of the materials that meshes and their subsets are bound to, once each."""
+    found: dict[str, None] = {}
+    for prim in prims:
+        subsets = [child for child in prim.GetChildren() if child.IsA(UsdGeom.Subset)]
+        for bound in (prim, *subsets):
+            path = material_of(bound)  # type: ignore[operator]
+            if path is not None:
+                found[path] = None
+    return list(found)
+
+
+def upload(scene: Scene, workers: Workers, *, show_dome: bool) -> tuple[DeviceScene, LightField]:
+    """Bake the lights, build the material tables and copy the geometry to the device."""
+    device = workers.device
+    wraps = wraps_of(scene.materials)
+    bands = len(scene.frame.wavelength_nm)
+    light = build_light_field(scene.lights, wraps, workers, bands)
+    alphas = gloss_alphas(scene.materials, LADDER)
+    add_reflections(light.device_lights, scene.lights, light.environments, alphas, workers)
+    show_domes(light.device_lights, scene.lights, show_dome, device)
+    rows = {name: k for k, name in enumerate(sorted(_primvar_names(scene)))}
+    surfaces = build_surfaces(
+        scene.materials,
+        light.basis,
+        scene.frame,
+        wraps,
+        rows,
+        _thickness_range(scene),
+        device,
+    )
+    geometry, mesh, prim, material = _upload_geometry(scene, rows, device)
+    st = rows["st"] if any("st" in mesh.primvars for mesh in scene.meshes) else -1
+    return (
+        DeviceScene(
+            geometry,
+            light.device_lights,
+            surfaces.device_materials,
+            surfaces.max_rows,
+            bands,
+            st,
+            prim,
+            material,
+            surfaces.albedo,
+            (mesh,),
+        ),
+        light,
+    )
+
+
+def _primvar_names(scene: Scene) -> set[str]:
+    return required_primvars(scene.materials) | {"st"}
+
+
+def _thickness_range(scene: Scene) -> dict[str, float]:
+    """Return the largest thickness [m] that meshes give each material."""
+    largest: dict[str, float] = {}
+    for material in scene.materials:
+        if not isinstance(material, SkinMaterial) or material.thickness_primvar is None:
+            continue
+        for mesh in scene.meshes:
+            values = mesh.primvars.get(material.thickness_primvar)
+            if values is not None and material.path in mesh.material_paths:
+                found = max(float(values.max()), largest.get(material.path, 0.0))
+                largest[material.path] = max(found, material.parameters.thickness)
+    return largest
+
+
+def _upload_geometry(
+    scene: Scene, rows: dict[str, int], device: str
+) -> tuple[structs.Geometry, wp.Mesh, NDArray[np.int32], NDArray[np.int32]]:
+    count = scene.triangle_count
+    points, triangles, normals = [], [], []
+    material = np.zeros(max(count, 1), np.int32)
+    prim = np.zeros(max(count, 1), np.int32)
+    values = np.zeros((len(rows), max(3 * count, 3), 4), np.float32)
+    first_point = begin = 0
+    for k, mesh in enumerate(scene.meshes):
+        end = begin + len(mesh.triangles)
+        points.append(mesh.points)
+        triangles.append(mesh.triangles + first_point)
+        normals.append(mesh.normals.reshape(-1, 3))
+        slots = np.array([scene.material_index[path] for path in mesh.material_paths], np.int32)
+        material[begin:end] = slots[mesh.material_slot]
+        prim[begin:end] = k
+        for name, row in rows.items():
+            values[row, 3 * begin : 3 * end] = _corner_values(
+                scene, mesh, name, material[begin:end]
+            )
+        first_point += len(mesh.points)
+        begin = end
+    if not count:  # nothing to hit, but the kernels need a mesh
+        points, triangles = [np.zeros((3, 3))], [np.array([[0, 1, 2]])]
+        normals = [np.tile(np.float32([0, 1, 0]), (3, 1))]
+    mesh = wp.Mesh(
+        points=wp.array(np.concatenate(points), dtype=wp.vec3f, device=device),
+        indices=wp.array(
+            np.concatenate(triangles).astype(np.int32).ravel(), dtype=wp.int32, device=device
+        ),
+    )
+    geometry = structs.Geometry()
+    geometry.mesh = mesh.id
+    geometry.corner_normal = wp.array(np.concatenate(normals), dtype=wp.vec3f, device=device)
+    geometry.corner_value = wp.array(values, dtype=wp.vec4f, device=device)
+    geometry.material = wp.array(material, dtype=wp.int32, device=device)
+    geometry.prim = wp.array(prim, dtype=wp.int32, device=device)
+    return geometry, mesh, prim, material
+
+
+def _corner_values(
+    scene: Scene, mesh: MeshArrays, name: str, material: NDArray[np.int32]
+) -> NDArray[np.float32]:
+    """Return a primvar per corner, or what each corner's material falls back to."""
+    result = np.zeros((len(material), 3, 4), np.float32)
+    found = mesh.primvars.get(name)
+    if found is not None:
+        result[:, :, : found.shape[2]] = found[:, :, :4]
+        if found.shape[2] == 1:
+            result[:, :, 1:] = found
+        return result.reshape(-1, 4)
+    for m in np.unique(material):
+        for value in scene.materials[m].inputs():
+            if isinstance(value, PrimvarInput) and value.name == name:
+                fallback = np.atleast_1d(np.asarray(value.fallback, np.float32))
+                result[material == m, :, : len(fallback)] = fallback
+                if len(fallback) == 1:
+                    result[material == m] = fallback[0]
+    return result.reshape(-1, 4)
+
+

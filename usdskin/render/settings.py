@@ -1,0 +1,376 @@
+"""What a render was asked for: flags before authored settings before fallbacks.
+
+Reads:  a stage's RenderSettings prim, with ``SkinRenderSettingsAPI`` or without, and the flags.
+Makes:  ``RenderJob``: what all pictures share, the products to write
+        (``usdskin.render.products``) and the frames.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdskin.colorimetry import color_space_names, linear_color_space
+from usdskin.errors import LayerError, UsageError
+from usdskin.frames import frame_path, has_placeholder
+from usdskin.notes import Note
+from usdskin.prims import read_render_settings_api
+from usdskin.render.memory import check_memory
+from usdskin.render.opinions import (
+    choose,
+    one_of,
+    parse_wavelengths,
+    several_of,
+    truth,
+    wavelengths,
+    whole_number,
+)
+from usdskin.render.overrides import MapOverrides, RenderOverrides
+from usdskin.render.products import Product, read_products
+
+# isort: split
+# After ours, which register the schemas.
+from pxr import Sdf, Usd, UsdRender
+
+__all__ = [
+    "Frame",
+    "MapOverrides",
+    "RenderJob",
+    "RenderOverrides",
+    "RenderReport",
+    "RenderSettings",
+    "parse_wavelengths",
+    "read_settings",
+    "resolve_settings",
+]
+
+SAMPLES_LIMIT = 4096
+LEVEL_LIMIT = 8
+"""As ``usdskin:subdivisionLevel`` limits it: every level has four times the faces."""
+
+SEED_LIMIT = 2**31 - 1
+
+OBSERVERS = ("cie1931_2", "cie1964_10", "cie2015_2")
+PIXEL_FILTERS = ("box", "triangle", "gaussian", "blackmanHarris")
+DOMES = ("auto", "show", "hide")
+PURPOSES = ("default", "render", "proxy", "guide")
+COMPRESSIONS = ("none", "rle", "zips", "zip", "piz")
+"""Lossless ones: data and spectra are read back as they were written."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RenderReport:
+    """What a render did."""
+
+    paths: list[Path]
+    """Files written, in order."""
+
+    notes: list[Note]
+    """What the pictures do not show."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Time each part took [s]."""
+
+    failures: dict[str, str] = field(default_factory=dict)
+    """Frames that failed, by number, and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One moment of the stage."""
+
+    number: float | None
+    """Frame number; None for the one picture of a stage without a time range."""
+
+    @property
+    def time(self) -> Usd.TimeCode:
+        """Time to read the stage at."""
+        return Usd.TimeCode.EarliestTime() if self.number is None else Usd.TimeCode(self.number)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RenderSettings:
+    """What all products of a job share, resolved and checked."""
+
+    prim_path: str | None
+    """The RenderSettings prim the values come from, if any."""
+
+    integrator: str
+    samples_per_pixel: int
+    pixel_filter: str
+    seed: int
+    wavelength_nm: NDArray[np.float64]
+    """Band centres [nm], shape [band_count]."""
+
+    observer: str
+    subdivision_level: int
+    spectral_method: Literal["factorised", "brute"]
+    color_space: str
+    """Rendering color space: USD's name of a linear RGB space."""
+
+    purposes: frozenset[str]
+    material_purposes: tuple[str, ...]
+    """Material binding purposes, the preferred first; ``""`` is allPurpose."""
+
+    dome: str
+    """``auto``, ``show`` or ``hide``."""
+
+    mask: tuple[str, ...] | None
+    """Paths of the prims whose geometry is rendered, with all below them; None for everything."""
+
+    illuminant: str
+    bad_pixels: Literal["error", "clamp"]
+    ev: float | Literal["auto"]
+    white: str
+    view: str | None
+    compression: str
+    skip_existing: bool
+    threads: int | None
+    device: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RenderJob:
+    """Everything to render, and how."""
+
+    overrides: RenderOverrides
+    settings: RenderSettings
+    products: tuple[Product, ...]
+    frames: tuple[Frame, ...]
+
+    def digest(self, product: Product) -> str:
+        """Return a hash of what has a bearing on a product's pixels, as hexadecimal digits.
+
+        The stage itself is not in it, only what was asked of it.
+        """
+        asked = {entry.name: getattr(self.settings, entry.name) for entry in fields(RenderSettings)}
+        for name in _WITHOUT_BEARING_ON_PIXELS:
+            del asked[name]
+        asked |= {name: getattr(self.overrides, name) for name in ("attributes", "variants")}
+        asked |= {name: getattr(product, name) for name in _VIEW_FIELDS}
+        seen = hashlib.sha256()
+        for name, value in asked.items():
+            plain = value.tolist() if isinstance(value, np.ndarray) else value
+            plain = sorted(plain) if isinstance(plain, frozenset) else plain
+            seen.update(f"{name}={plain!r}\n".encode())
+        return seen.hexdigest()
+
+
+_VIEW_FIELDS = ("camera", "resolution", "pixel_aspect_ratio", "conform_policy")
+_WITHOUT_BEARING_ON_PIXELS = (
+    "prim_path",
+    "ev",
+    "white",
+    "view",
+    "compression",
+    "skip_existing",
+    "threads",
+    "device",
+)
+
+
+def resolve_settings(
+    stage: Usd.Stage, overrides: RenderOverrides, output: Path | None, notes: list[Note]
+) -> RenderJob:
+    """Return what to render: flags win over authored settings, and these over fallbacks.
+
+    Args:
+        stage: Stage to render, with the overrides' variants and attributes applied
+            (``apply_overrides``).
+        overrides: The flags.
+        output: Picture to write instead of the stage's products.
+        notes: Takes what the stage asks for and will not get.
+
+    Raises:
+        UsageError: A flag's value is wrong, or names what the stage has not.
+        LayerError: An authored value is wrong.
+        DeviceError: The pictures need more memory than there is.
+    """
+    settings = read_settings(stage, overrides)
+    prim = stage.GetPrimAtPath(settings.prim_path) if settings.prim_path else None
+    frames = _frames(stage, overrides)
+    spectral = choose(
+        [prim] if prim else (),
+        "usdskin:spectralOutput",
+        truth,
+        False,
+        "--spectral",
+        overrides.spectral_output,
+    )
+    products = read_products(
+        stage, prim, overrides, output, spectral=spectral, time=frames[0].time, notes=notes
+    )
+    _check_places(products, frames)
+    for product in products:
+        check_memory(product, settings.wavelength_nm.size)
+    return RenderJob(overrides=overrides, settings=settings, products=products, frames=frames)
+
+
+def read_settings(stage: Usd.Stage, overrides: RenderOverrides) -> RenderSettings:
+    """Return what all pictures share; needs neither a camera nor a product.
+
+    Raises:
+        UsageError: A flag's value is wrong, or names what the stage has not.
+        LayerError: An authored value is wrong.
+    """
+    prim = _settings_prim(stage, overrides.settings)
+    if prim is None:
+        return _read_settings((), overrides)
+    read_render_settings_api(prim, Usd.TimeCode.EarliestTime())  # refuses what is misspelt
+    return _read_settings((prim,), overrides)
+
+
+def _settings_prim(stage: Usd.Stage, requested: str | None) -> Usd.Prim | None:
+    """Return the RenderSettings prim that was asked for, or the stage's own, or None."""
+    path = requested or str(stage.GetMetadata("renderSettingsPrimPath") or "")
+    if not path:
+        return None
+    prim = stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None
+    if prim and prim.IsA(UsdRender.Settings):
+        return prim
+    if requested:
+        there = [str(item.GetPath()) for item in stage.Traverse() if item.IsA(UsdRender.Settings)]
+        raise UsageError(
+            f"-rs/--settings {path}: the stage has no such RenderSettings prim; it has "
+            f"{', '.join(there) or 'none'}."
+        )
+    raise LayerError(
+        f"{stage.GetRootLayer().GetDisplayName()}: renderSettingsPrimPath = {path!r} names no "
+        "RenderSettings prim; correct the path, or name another with -rs."
+    )
+
+
+def _frames(stage: Usd.Stage, overrides: RenderOverrides) -> tuple[Frame, ...]:
+    """Return the frames asked for, else the stage's first, else its one moment."""
+    if overrides.frames is not None:
+        return tuple(Frame(float(number)) for number in overrides.frames)
+    if not stage.HasAuthoredMetadata("startTimeCode"):
+        return (Frame(None),)
+    start = stage.GetStartTimeCode()
+    if not math.isfinite(start):
+        raise LayerError(
+            f"{stage.GetRootLayer().GetDisplayName()}: startTimeCode = {start} is no time; correct "
+            "it, or give the frames with -f."
+        )
+    return (Frame(start),)
+
+
+def _check_places(products: tuple[Product, ...], frames: tuple[Frame, ...]) -> None:
+    """Check that every frame has a file name of its own, before anything is rendered."""
+    for product in products:
+        for file in product.files:
+            if len(frames) > 1 and not has_placeholder(file):
+                raise UsageError(
+                    f"{file}: {len(frames)} frames need a place for the number, such as "
+                    f"{file.stem}.####{file.suffix}."
+                )
+            for frame in frames:
+                frame_path(file, frame.number)
+
+
+def _integrator(value: Any) -> str:
+    if one_of(("map", "traced"))(value) == "traced":
+        raise ValueError("the traced integrator is not available yet; use --integrator map.")
+    return "map"
+
+
+def _purposes(value: Any) -> frozenset[str]:
+    return frozenset(several_of(PURPOSES)(value))
+
+
+def _color_space(value: Any) -> str:
+    name = one_of(color_space_names())(value)
+    if linear_color_space(name) != name:
+        raise ValueError(f"pictures are rendered linear; use {linear_color_space(name)}.")
+    return name
+
+
+def _mask(paths: Sequence[str] | None) -> tuple[str, ...] | None:
+    if paths is None:
+        return None
+    for path in paths:
+        if not (Sdf.Path.IsValidPathString(path) and Sdf.Path(path).IsAbsoluteRootOrPrimPath()):
+            raise UsageError(f"--mask {path}: this is no path of a prim, such as /World/Head.")
+    return tuple(str(Sdf.Path(path)) for path in paths)
+
+
+@dataclass(frozen=True, slots=True)
+class _Opinion:
+    """Where one setting may be said, and what is right for it."""
+
+    attribute: str
+    flag: str
+    check: Callable[[Any], Any]
+    override: str
+    """Field of ``RenderOverrides``."""
+
+
+_OPINIONS = {
+    "integrator": _Opinion("usdskin:integrator", "--integrator", _integrator, "integrator"),
+    "samples_per_pixel": _Opinion(
+        "usdskin:samplesPerPixel", "-p/--samples", whole_number(1, SAMPLES_LIMIT), "samples"
+    ),
+    "pixel_filter": _Opinion(
+        "usdskin:pixelFilter", "--filter", one_of(PIXEL_FILTERS), "pixel_filter"
+    ),
+    "seed": _Opinion("usdskin:seed", "--seed", whole_number(0, SEED_LIMIT), "seed"),
+    "wavelength_nm": _Opinion("usdskin:wavelengths", "--wavelengths", wavelengths, "wavelength_nm"),
+    "observer": _Opinion("usdskin:observer", "--observer", one_of(OBSERVERS), "observer"),
+    "subdivision_level": _Opinion(
+        "usdskin:subdivisionLevel", "--level", whole_number(0, LEVEL_LIMIT), "subdivision_level"
+    ),
+    "dome": _Opinion("usdskin:dome", "--dome", one_of(DOMES), "dome"),
+    "purposes": _Opinion("includedPurposes", "--purposes", _purposes, "purposes"),
+    "material_purposes": _Opinion(
+        "materialBindingPurposes", "", several_of(("full", "preview", "")), ""
+    ),
+    "color_space": _Opinion("renderingColorSpace", "", _color_space, ""),
+}
+
+
+def _read_settings(prims: Sequence[Usd.Prim], given: RenderOverrides) -> RenderSettings:
+    values = {
+        name: choose(
+            prims,
+            opinion.attribute,
+            opinion.check,
+            opinion.check(_fallback(opinion.attribute)),
+            opinion.flag,
+            getattr(given, opinion.override) if opinion.override else None,
+        )
+        for name, opinion in _OPINIONS.items()
+    }
+    return RenderSettings(
+        **values,
+        prim_path=str(prims[0].GetPath()) if prims else None,
+        spectral_method=given.spectral_method or "factorised",
+        mask=_mask(given.mask),
+        illuminant=given.illuminant or "D65",
+        bad_pixels=given.bad_pixels or "error",
+        ev="auto" if given.ev is None else given.ev,
+        white=given.white or "scene",
+        view=given.view,
+        compression=choose((), "", one_of(COMPRESSIONS), "zip", "--compression", given.compression),
+        skip_existing=given.skip_existing,
+        threads=given.threads,
+        device=given.device,
+    )
+
+
+def _fallback(attribute: str) -> Any:
+    """Return what the schema says where nobody has an opinion."""
+    if attribute == "renderingColorSpace":
+        return "lin_rec709_scene"  # UsdRender leaves it to the renderer
+    registry = Usd.SchemaRegistry()
+    if attribute.startswith("usdskin:"):
+        definition = registry.FindAppliedAPIPrimDefinition("SkinRenderSettingsAPI")
+    else:
+        definition = registry.FindConcretePrimDefinition("RenderSettings")
+    return definition.GetAttributeFallbackValue(attribute)

@@ -1,0 +1,218 @@
+"""Lookups on the sphere and in textures: small functions the picture kernels share."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from usdskin.warp_kernels.structs import Lights, Materials
+
+wp.set_module_options({"enable_backward": False})
+
+PI = wp.constant(3.14159265358979)
+
+
+@wp.func
+def latlong_coordinates(direction: wp.vec3f) -> wp.vec2f:
+    """Return (polar angle / pi, azimuth in turns) of a direction, UsdLux's latlong layout."""
+    polar = wp.acos(wp.clamp(direction[1], -1.0, 1.0)) / PI
+    turns = wp.atan2(direction[0], -direction[2]) / (2.0 * PI)
+    if turns < 0.0:
+        turns = turns + 1.0
+    return wp.vec2f(polar, turns)
+
+
+@wp.func
+def _cubic_weights(t: wp.float32) -> wp.vec4f:
+    """Catmull-Rom weights at t in [0, 1] between the second and the third of four nodes."""
+    t2 = t * t
+    t3 = t2 * t
+    return wp.vec4f(
+        -0.5 * t + t2 - 0.5 * t3,
+        1.0 - 2.5 * t2 + 1.5 * t3,
+        0.5 * t + 2.0 * t2 - 1.5 * t3,
+        -0.5 * t2 + 0.5 * t3,
+    )
+
+
+@wp.func
+def lookup_map(
+    value: wp.array[wp.vec4f], offset: wp.int32, rows: wp.int32, coordinates: wp.vec2f
+) -> wp.vec4f:
+    """Interpolate a padded node grid of H = ``rows`` and W = 2 H bicubically."""
+    y = coordinates[0] * wp.float32(rows)
+    x = coordinates[1] * wp.float32(2 * rows)
+    i = wp.clamp(wp.int32(y), 0, rows - 1)
+    j = wp.clamp(wp.int32(x), 0, 2 * rows - 1)
+    wy = _cubic_weights(y - wp.float32(i))
+    wx = _cubic_weights(x - wp.float32(j))
+    stride = 2 * rows + 3
+    total = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    for k in range(4):
+        at = offset + (i + k) * stride + j
+        row = wx[0] * value[at] + wx[1] * value[at + 1]
+        row += wx[2] * value[at + 2] + wx[3] * value[at + 3]
+        total += wy[k] * row
+    return total
+
+
+@wp.func
+def _lookup_grid(
+    value: wp.array[wp.vec4f], offset: wp.int32, rows: wp.int32, coordinates: wp.vec2f
+) -> wp.vec4f:
+    """Interpolate a node grid of (rows + 1) x (2 rows + 1) bilinearly."""
+    y = coordinates[0] * wp.float32(rows)
+    x = coordinates[1] * wp.float32(2 * rows)
+    i = wp.clamp(wp.int32(y), 0, rows - 1)
+    j = wp.clamp(wp.int32(x), 0, 2 * rows - 1)
+    fy = y - wp.float32(i)
+    fx = x - wp.float32(j)
+    stride = 2 * rows + 1
+    at = offset + i * stride + j
+    top = (1.0 - fx) * value[at] + fx * value[at + 1]
+    bottom = (1.0 - fx) * value[at + stride] + fx * value[at + stride + 1]
+    return (1.0 - fy) * top + fy * bottom
+
+
+@wp.func
+def lookup_gloss(
+    lights: Lights, group: wp.int32, alpha: wp.float32, coordinates: wp.vec2f
+) -> wp.vec4f:
+    """Return the light around a direction, prefiltered for GGX ``alpha``."""
+    last = lights.gloss_alpha.shape[0] - 1
+    if last < 0:
+        return wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    if lights.gloss_offset[0, group] < 0:
+        return wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    level = int(0)
+    while level < last - 1 and lights.gloss_alpha[level + 1] < alpha:
+        level = level + 1
+    low = lights.gloss_alpha[level]
+    high = lights.gloss_alpha[wp.min(level + 1, last)]
+    blend = float(wp.clamp((alpha - low) / wp.max(high - low, 1.0e-6), 0.0, 1.0))
+    if blend >= 1.0 and level < last:
+        level = level + 1
+        blend = 0.0
+    result = _lookup_grid(
+        lights.gloss_value,
+        lights.gloss_offset[level, group],
+        lights.gloss_rows[level, group],
+        coordinates,
+    )
+    if blend > 0.0 and level < last:
+        upper = _lookup_grid(
+            lights.gloss_value,
+            lights.gloss_offset[level + 1, group],
+            lights.gloss_rows[level + 1, group],
+            coordinates,
+        )
+        result = (1.0 - blend) * result + blend * upper
+    return result
+
+
+@wp.func
+def lookup_fresnel(lights: Lights, alpha: wp.float32, cosine: wp.float32) -> wp.vec2f:
+    """Return (x, y): a GGX lobe's directional albedo is F0 x + y (Schlick's Fresnel)."""
+    rows = lights.fresnel.shape[0]
+    columns = lights.fresnel.shape[1]
+    y = wp.clamp(alpha, 0.0, 1.0) * wp.float32(rows - 1)
+    x = wp.clamp(cosine, 0.0, 1.0) * wp.float32(columns - 1)
+    i = wp.min(wp.int32(y), rows - 2)
+    j = wp.min(wp.int32(x), columns - 2)
+    fy = y - wp.float32(i)
+    fx = x - wp.float32(j)
+    top = (1.0 - fx) * lights.fresnel[i, j] + fx * lights.fresnel[i, j + 1]
+    bottom = (1.0 - fx) * lights.fresnel[i + 1, j] + fx * lights.fresnel[i + 1, j + 1]
+    return (1.0 - fy) * top + fy * bottom
+
+
+@wp.func
+def lookup_dome(lights: Lights, group: wp.int32, direction: wp.vec3f) -> wp.vec4f:
+    """Return a dome's own texels towards a world direction, bilinearly."""
+    offset = lights.dome_offset[group]
+    if offset < 0:
+        return wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    rows = lights.dome_rows[group]
+    columns = lights.dome_columns[group]
+    coordinates = latlong_coordinates(lights.dome_to_local[group] * direction)
+    y = wp.clamp(coordinates[0] * wp.float32(rows) - 0.5, 0.0, wp.float32(rows - 1))
+    x = coordinates[1] * wp.float32(columns) - 0.5
+    if x < 0.0:
+        x = x + wp.float32(columns)
+    i = wp.int32(y)
+    j = wp.int32(x)
+    fy = y - wp.float32(i)
+    fx = x - wp.float32(j)
+    below = wp.min(i + 1, rows - 1)
+    beside = (j + 1) % columns
+    j = j % columns
+    top = (1.0 - fx) * lights.dome_value[offset + i * columns + j]
+    top += fx * lights.dome_value[offset + i * columns + beside]
+    bottom = (1.0 - fx) * lights.dome_value[offset + below * columns + j]
+    bottom += fx * lights.dome_value[offset + below * columns + beside]
+    return (1.0 - fy) * top + fy * bottom
+
+
+@wp.func
+def _wrap_index(i: wp.int32, size: wp.int32, mode: wp.int32) -> wp.int32:
+    """Return the texel an index means, -1 outside: 0 repeat, 1 clamp, 2 mirror, 3 black."""
+    if mode == 1:
+        return wp.clamp(i, 0, size - 1)
+    if mode == 3:
+        if i < 0 or i >= size:
+            return -1
+        return i
+    period = size
+    if mode == 2:
+        period = 2 * size
+    wrapped = i % period
+    if wrapped < 0:
+        wrapped = wrapped + period
+    if wrapped >= size:
+        wrapped = period - 1 - wrapped
+    return wrapped
+
+
+@wp.func
+def _texel(
+    materials: Materials, level: wp.vec3i, i: wp.int32, j: wp.int32, info: wp.vec3i
+) -> wp.vec4f:
+    column = _wrap_index(j, level[1], info[1])
+    row = _wrap_index(i, level[2], info[2])
+    if column < 0 or row < 0:
+        return wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    return materials.texel[level[0] + row * level[1] + column]
+
+
+@wp.func
+def _sample_level(
+    materials: Materials, level: wp.vec3i, st: wp.vec2f, info: wp.vec3i
+) -> wp.vec4f:
+    x = st[0] * wp.float32(level[1]) - 0.5
+    y = (1.0 - st[1]) * wp.float32(level[2]) - 0.5
+    j = wp.int32(wp.floor(x))
+    i = wp.int32(wp.floor(y))
+    fx = x - wp.float32(j)
+    fy = y - wp.float32(i)
+    top = (1.0 - fx) * _texel(materials, level, i, j, info)
+    top += fx * _texel(materials, level, i, j + 1, info)
+    bottom = (1.0 - fx) * _texel(materials, level, i + 1, j, info)
+    bottom += fx * _texel(materials, level, i + 1, j + 1, info)
+    return (1.0 - fy) * top + fy * bottom
+
+
+@wp.func
+def sample_texture(
+    materials: Materials, texture: wp.int32, st: wp.vec2f, width: wp.float32
+) -> wp.vec4f:
+    """Return a texture at ``st`` (origin bottom left), trilinear for a footprint ``width`` in st."""
+    info = materials.texture_info[texture]
+    base = materials.texture_level[texture, 0]
+    texels = width * wp.float32(wp.max(base[1], base[2]))
+    level = wp.clamp(wp.log2(wp.max(texels, 1.0e-6)), 0.0, wp.float32(info[0] - 1))
+    lower = wp.int32(level)
+    blend = level - wp.float32(lower)
+    result = _sample_level(materials, materials.texture_level[texture, lower], st, info)
+    if blend > 0.0:
+        upper = _sample_level(materials, materials.texture_level[texture, lower + 1], st, info)
+        result = (1.0 - blend) * result + blend * upper
+    return result

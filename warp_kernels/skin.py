@@ -1,0 +1,337 @@
+"""Surfaces under a reflectance map: the skin model of DESIGN's eq. (1) and UsdPreviewSurface.
+
+A surface never handles wavelengths. It weighs the light's coefficient channels (Lambert and wrap
+integrals, prefiltered reflections) and deposits each product in one row of the pixel's scratch;
+``Materials.band`` gives every row its spectrum when the pixel is finished.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from usdskin.warp_kernels.lookup import (
+    PI,
+    latlong_coordinates,
+    lookup_fresnel,
+    lookup_gloss,
+    lookup_map,
+    sample_texture,
+)
+from usdskin.warp_kernels.reflectance_map import mean_ramp, mean_step
+from usdskin.warp_kernels.structs import (
+    INPUT_BASE,
+    INPUT_BASE_HIGH,
+    INPUT_CLEARCOAT,
+    INPUT_CLEARCOAT_ROUGHNESS,
+    INPUT_EMISSION,
+    INPUT_LOBES,
+    INPUT_METALLIC,
+    INPUT_ROUGHNESS,
+    INPUT_SPECULAR,
+    INPUT_THICKNESS,
+    Film,
+    Geometry,
+    Lights,
+    Materials,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Point:
+    """A visible point of a surface."""
+
+    material: wp.int32
+    corner: wp.int32
+    """First corner of its triangle."""
+    barycentric: wp.vec3f
+    position: wp.vec3f
+    normal: wp.vec3f
+    """Unit shading normal, turned to the viewer's side."""
+    view: wp.vec3f
+    """Unit direction towards the viewer."""
+    footprint: wp.float32
+    """Width of what one sample sees of the surface [m]."""
+    triangle_area: wp.float32
+    """Area of its triangle [m^2]."""
+
+
+@wp.func
+def read_input(
+    geometry: Geometry, materials: Materials, point: Point, which: wp.int32
+) -> wp.vec4f:
+    """Return a material input at a point: its constant, primvar or texture."""
+    slot = materials.slot[point.material, which]
+    if slot < 0:
+        return materials.constant[point.material, which]
+    primvar = materials.slot_primvar[slot]
+    corner = point.corner
+    first = geometry.corner_value[primvar, corner]
+    second = geometry.corner_value[primvar, corner + 1]
+    third = geometry.corner_value[primvar, corner + 2]
+    at = point.barycentric[0] * first + point.barycentric[1] * second + point.barycentric[2] * third
+    value = at
+    texture = materials.slot_texture[slot]
+    if texture >= 0:
+        u = materials.slot_matrix_u[slot]
+        v = materials.slot_matrix_v[slot]
+        st = wp.vec2f(
+            u[0] * at[0] + u[1] * at[1] + u[2],
+            v[0] * at[0] + v[1] * at[1] + v[2],
+        )
+        ab = second - first
+        ac = third - first
+        scale = wp.abs(u[0] * v[1] - u[1] * v[0])
+        area = 0.5 * scale * wp.abs(ab[0] * ac[1] - ab[1] * ac[0])
+        width = point.footprint * wp.sqrt(area / wp.max(point.triangle_area, 1.0e-20))
+        value = sample_texture(materials, texture, st, width)
+    channel = materials.slot_channel[slot]
+    if channel >= 0:
+        return wp.vec4f(value[channel], value[channel], value[channel], value[channel])
+    return value
+
+
+@wp.func
+def _first_lamp(lights: Lights, group: wp.int32) -> wp.int32:
+    if group == 0:
+        return 0
+    return lights.lamp_end[group - 1]
+
+
+@wp.func
+def diffuse_light(
+    lights: Lights, wrap_set: wp.int32, kernel: wp.int32, group: wp.int32, normal: wp.vec3f,
+    coordinates: wp.vec2f,
+) -> wp.vec4f:  # fmt: skip
+    """Return J1 (kernel 0), J2 (1) or H (2) at a normal: the smooth map and the lamps."""
+    total = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    offset = lights.map_offset[wrap_set, kernel, group]
+    if offset >= 0:
+        total = lookup_map(lights.map_value, offset, lights.map_rows[group], coordinates)
+    wrap = lights.wrap[wrap_set]
+    first = _first_lamp(lights, group)
+    part = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    for k in range(first, lights.lamp_end[group]):
+        x = wp.dot(normal, lights.lamp_center[k])
+        a = wp.dot(normal, lights.lamp_azimuth[k])
+        b = wp.dot(normal, lights.lamp_elevation[k])
+        share = float(0.0)
+        if kernel == 0:
+            share = mean_ramp(x, a, b)
+        elif kernel == 1:
+            share = mean_ramp(x + wrap, a, b) / (1.0 + wrap)
+        else:
+            share = mean_step(x, a, b)
+        part += share * lights.lamp_flux[k]
+        if k % 256 == 255:  # sums over half a million texels, one by one, would lose 4e-4
+            total += part
+            part = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    return total + part
+
+
+@wp.func
+def _ggx(alpha: wp.float32, nh: wp.float32, nl: wp.float32, nv: wp.float32) -> wp.float32:
+    """Return D G2 / (4 n.v) of the GGX microfacet lobe (Walter et al. 2007, Heitz 2014)."""
+    a2 = alpha * alpha
+    d = nh * nh * (a2 - 1.0) + 1.0
+    density = a2 / (PI * d * d)
+    mask = nv * wp.sqrt(a2 + (1.0 - a2) * nl * nl) + nl * wp.sqrt(a2 + (1.0 - a2) * nv * nv)
+    return density * nl / (2.0 * wp.max(mask, 1.0e-7))
+
+
+@wp.func
+def _lobe(
+    lights: Lights, group: wp.int32, alpha: wp.float32, point: Point, nv: wp.float32,
+    coordinates: wp.vec2f, tint: wp.float32, white: wp.float32,
+) -> wp.vec4f:  # fmt: skip
+    """Return light reflected by one GGX lobe with Fresnel tint F0 + white (1 - F0) Schlick.
+
+    ``tint`` and ``white`` select the two parts: F0 times x, and y, of the directional albedo.
+    """
+    response = lookup_fresnel(lights, alpha, nv)
+    part = tint * response[0] + white * response[1]
+    total = part * lookup_gloss(lights, group, alpha, coordinates)
+    for k in range(_first_lamp(lights, group), lights.gloss_end[group]):
+        toward = lights.lamp_center[k]
+        nl = wp.dot(point.normal, toward)
+        if nl > 0.0:
+            half = wp.normalize(toward + point.view)
+            size = wp.length(lights.lamp_azimuth[k])
+            wide = wp.clamp(alpha + 0.5 * size, 1.0e-3, 1.0)
+            rise = wp.pow(1.0 - wp.clamp(wp.dot(point.view, half), 0.0, 1.0), 5.0)
+            lobe = _ggx(wide, wp.dot(point.normal, half), nl, nv)
+            total += (lobe * (tint * (1.0 - rise) + white * rise)) * lights.lamp_flux[k]
+    return total
+
+
+@wp.func
+def _thickness_weight(
+    materials: Materials, material: wp.int32, node: wp.int32, thickness: wp.float32
+) -> wp.float32:
+    """Return the Lagrange weight of one thickness node, clamped to the nodes' range."""
+    count = materials.thickness_count[material]
+    s = wp.clamp(
+        thickness,
+        materials.thickness_nodes[material, 0],
+        materials.thickness_nodes[material, count - 1],
+    )
+    at = materials.thickness_nodes[material, node]
+    weight = float(1.0)
+    for k in range(count):
+        if k != node:
+            other = materials.thickness_nodes[material, k]
+            weight = weight * (s - other) / (at - other)
+    return weight
+
+
+@wp.func
+def _base_weight(low: wp.vec4f, high: wp.vec4f, count: wp.int32, j: wp.int32) -> wp.float32:
+    if count == 1:
+        return 1.0
+    if j < 4:
+        return low[j]
+    return high[j - 4]
+
+
+@wp.func
+def shade_skin(
+    geometry: Geometry, lights: Lights, materials: Materials, film: Film, pixel: wp.int32,
+    point: Point, weight: wp.float32,
+):  # fmt: skip
+    """Deposit skin: both diffuse terms, the part that crosses the body, and the lustre.
+
+    C = (1/pi) alpha S [J1 + Ss (J2front + exp(-s delta) J2back)], DESIGN section 2; alpha, S, Ss,
+    delta and 1/pi are in the rows. The two GGX lobes lie above and take their albedo from below.
+    """
+    m = point.material
+    groups = lights.group_count
+    low = read_input(geometry, materials, point, INPUT_BASE)
+    high = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    bases = materials.weight_count[m]
+    if bases > 4:
+        high = read_input(geometry, materials, point, INPUT_BASE_HIGH)
+    glossy = (materials.flags[m] & 4) != 0
+    lobes = materials.constant[m, INPUT_LOBES]
+    f0 = materials.constant[m, INPUT_SPECULAR][0]
+    nv = wp.max(wp.dot(point.normal, point.view), 1.0e-4)
+    passed = float(weight)
+    if glossy:
+        first = lookup_fresnel(lights, lobes[1], nv)
+        second = lookup_fresnel(lights, lobes[2], nv)
+        albedo = (1.0 - lobes[3]) * (f0 * first[0] + first[1])
+        albedo += lobes[3] * (f0 * second[0] + second[1])
+        passed = weight * (1.0 - lobes[0] * albedo)
+    wrap_set = materials.wrap_set[m]
+    wrap = lights.wrap[wrap_set]
+    nodes = materials.thickness_count[m]
+    thickness = float(0.0)
+    if nodes > 0:
+        thickness = read_input(geometry, materials, point, INPUT_THICKNESS)[0]
+    coordinates = latlong_coordinates(point.normal)
+    span = bases * groups
+    for g in range(groups):
+        j1 = diffuse_light(lights, wrap_set, 0, g, point.normal, coordinates)
+        j2 = diffuse_light(lights, wrap_set, 1, g, point.normal, coordinates)
+        back = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+        if nodes > 0:
+            hemisphere = diffuse_light(lights, wrap_set, 2, g, point.normal, coordinates)
+            front = (j1 + wrap * hemisphere) / (1.0 + wrap)
+            back = j2 - front
+            j2 = front
+        for j in range(bases):
+            a = passed * _base_weight(low, high, bases, j)
+            row = j * groups + g
+            film.channel[pixel, row] += a * j1
+            film.channel[pixel, span + row] += a * j2
+            for k in range(nodes):
+                share = a * _thickness_weight(materials, m, k, thickness)
+                film.channel[pixel, (2 + k) * span + row] += share * back
+    if glossy:
+        mirror = wp.normalize(2.0 * nv * point.normal - point.view)
+        toward = latlong_coordinates(mirror)
+        for g in range(groups):
+            light = (1.0 - lobes[3]) * _lobe(lights, g, lobes[1], point, nv, toward, f0, 1.0)
+            light += lobes[3] * _lobe(lights, g, lobes[2], point, nv, toward, f0, 1.0)
+            film.channel[pixel, (2 + nodes) * span + g] += (weight * lobes[0]) * light
+
+
+@wp.func
+def shade_preview_surface(
+    geometry: Geometry, lights: Lights, materials: Materials, film: Film, pixel: wp.int32,
+    point: Point, weight: wp.float32, opacity: wp.float32,
+):  # fmt: skip
+    """Deposit a UsdPreviewSurface: Lambert, GGX by either workflow, clearcoat and emission.
+
+    The specification's layering, made energy-aware: what a layer reflects, the next does not get.
+    """
+    m = point.material
+    groups = lights.group_count
+    flags = materials.flags[m]
+    base = read_input(geometry, materials, point, INPUT_BASE)
+    bases = materials.weight_count[m]
+    nv = wp.max(wp.dot(point.normal, point.view), 1.0e-4)
+    metallic = float(0.0)
+    if (flags & 1) == 0:
+        metallic = read_input(geometry, materials, point, INPUT_METALLIC)[0]
+    solid = weight * opacity
+    shine = float(weight)  # opacityMode transparent leaves reflections at full strength
+    if (flags & 2) != 0:
+        shine = solid
+    coat = float(0.0)
+    coat_alpha = float(0.0)
+    if (flags & 32) != 0:
+        coat = read_input(geometry, materials, point, INPUT_CLEARCOAT)[0]
+        rough = read_input(geometry, materials, point, INPUT_CLEARCOAT_ROUGHNESS)[0]
+        coat_alpha = rough * rough
+        response = lookup_fresnel(lights, coat_alpha, nv)
+        solid = solid * (1.0 - coat * (0.04 * response[0] + response[1]))
+        shine = shine * (1.0 - coat * (0.04 * response[0] + response[1]))
+    rough = read_input(geometry, materials, point, INPUT_ROUGHNESS)[0]
+    alpha = rough * rough
+    tint = read_input(geometry, materials, point, INPUT_SPECULAR)
+    dielectric = float(0.0)  # F0 of the untinted part
+    highest = wp.max(tint[0], wp.max(tint[1], tint[2]))
+    if (flags & 1) == 0:
+        dielectric = tint[0] * (1.0 - metallic)
+        highest = dielectric
+    glossy = (flags & 4) != 0
+    diffuse = solid * (1.0 - metallic)
+    if glossy:
+        response = lookup_fresnel(lights, alpha, nv)
+        diffuse = diffuse * wp.max(1.0 - highest * response[0] - response[1], 0.0)
+    coordinates = latlong_coordinates(point.normal)
+    zero = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    wrap_set = materials.wrap_set[m]
+    for g in range(groups):
+        j1 = diffuse_light(lights, wrap_set, 0, g, point.normal, coordinates)
+        for j in range(bases):
+            film.channel[pixel, j * groups + g] += (diffuse * _base_weight(base, zero, bases, j)) * j1
+    row = bases * groups
+    if glossy:
+        mirror = wp.normalize(2.0 * nv * point.normal - point.view)
+        toward = latlong_coordinates(mirror)
+        for g in range(groups):
+            light = shine * _lobe(lights, g, alpha, point, nv, toward, dielectric, 1.0)
+            if coat > 0.0:
+                over = _lobe(lights, g, coat_alpha, point, nv, toward, 0.04, 1.0)
+                light += (weight * coat) * over
+            film.channel[pixel, row + g] += light
+        row = row + groups
+    if (flags & 8) != 0:
+        mirror = wp.normalize(2.0 * nv * point.normal - point.view)
+        toward = latlong_coordinates(mirror)
+        tints = int(3)
+        if (flags & 1) == 0:
+            tints = bases
+        for g in range(groups):
+            light = _lobe(lights, g, alpha, point, nv, toward, 1.0, 0.0)
+            for j in range(tints):
+                share = tint[wp.min(j, 3)]
+                if (flags & 1) == 0:
+                    share = metallic * _base_weight(base, zero, bases, j)
+                film.channel[pixel, row + j * groups + g] += (shine * share) * light
+        row = row + tints * groups
+    if (flags & 16) != 0:
+        emission = read_input(geometry, materials, point, INPUT_EMISSION)
+        film.channel[pixel, row] += weight * wp.vec4f(emission[0], emission[1], emission[2], 0.0)

@@ -1,0 +1,213 @@
+"""What the picture kernels read: a scene's arrays, grouped by what they describe."""
+
+from __future__ import annotations
+
+import warp as wp
+
+
+@wp.struct
+class Geometry:
+    """All triangles of the stage, in world space [m]."""
+
+    mesh: wp.uint64
+    """Id of the ``wp.Mesh``."""
+
+    corner_normal: wp.array[wp.vec3f]
+    """Unit shading normals per triangle corner, shape [3 triangle_count]."""
+
+    corner_value: wp.array2d[wp.vec4f]
+    """Primvars per triangle corner, shape [primvar_count, 3 triangle_count]."""
+
+    material: wp.array[wp.int32]
+    """Material index, shape [triangle_count]."""
+
+    prim: wp.array[wp.int32]
+    """Prim index, shape [triangle_count]."""
+
+
+@wp.struct
+class CameraRays:
+    """A pinhole or orthographic camera."""
+
+    origin: wp.vec3f
+    """Position [m], world space."""
+
+    right: wp.vec3f
+    up: wp.vec3f
+    back: wp.vec3f
+    """The camera's axes in world space; it looks along -back."""
+
+    window: wp.vec4f
+    """left, right, bottom, top: tangents at unit distance, or metres where orthographic."""
+
+    near: wp.float32
+    far: wp.float32
+    """Clipping distances along the view axis [m]."""
+
+    orthographic: wp.int32
+    width: wp.int32
+    height: wp.int32
+    """Picture size [px]."""
+
+
+@wp.struct
+class Lights:
+    """The light at every normal: smooth maps, lamps and prefiltered reflections, in channel groups.
+
+    A group holds four coefficient channels; ``group_count`` groups cover all domes and lamps.
+    """
+
+    group_count: wp.int32
+
+    map_value: wp.array[wp.vec4f]
+    """Node values of all maps [coefficient sr], each node grid padded by two for bicubic lookup."""
+
+    map_offset: wp.array3d[wp.int32]
+    """First value of a map, -1 where the group has none, shape [wrap_count, 3, group_count]."""
+
+    map_rows: wp.array[wp.int32]
+    """H of a group's maps: nodes at polar angle pi i / H, shape [group_count]."""
+
+    lamp_center: wp.array[wp.vec3f]
+    lamp_azimuth: wp.array[wp.vec3f]
+    lamp_elevation: wp.array[wp.vec3f]
+    """Direction and half extents of each lamp, group after group, shape [lamp_count]."""
+
+    lamp_flux: wp.array[wp.vec4f]
+    """Coefficients times solid angle [sr], shape [lamp_count]."""
+
+    lamp_end: wp.array[wp.int32]
+    """One past the last lamp of a group, shape [group_count]."""
+
+    gloss_end: wp.array[wp.int32]
+    """One past the last lamp of a group that is reflected by itself; the others are in
+    ``gloss_value``. Shape [group_count]."""
+
+    wrap: wp.array[wp.float32]
+    """l of each map set, shape [wrap_count]."""
+
+    gloss_value: wp.array[wp.vec4f]
+    """Prefiltered reflections, latlong node grids, one per level and group."""
+
+    gloss_offset: wp.array2d[wp.int32]
+    gloss_rows: wp.array2d[wp.int32]
+    """First value and H of a grid, -1 where there is none, shape [level_count, group_count]."""
+
+    gloss_alpha: wp.array[wp.float32]
+    """GGX alpha of each level, ascending, shape [level_count]."""
+
+    fresnel: wp.array2d[wp.vec2f]
+    """Directional albedo = F0 x + y, over (alpha, cosine), shape [alpha_count, cosine_count]."""
+
+    dome_value: wp.array[wp.vec4f]
+    """Texels of the domes as the camera sees them, one image per group."""
+
+    dome_offset: wp.array[wp.int32]
+    dome_rows: wp.array[wp.int32]
+    dome_columns: wp.array[wp.int32]
+    """Shape [group_count]; the offset is -1 where no dome is seen."""
+
+    dome_to_local: wp.array[wp.mat33f]
+    """World to light frame of each group's dome, shape [group_count]."""
+
+
+@wp.struct
+class Materials:
+    """How surfaces turn light into spectra.
+
+    Outgoing radiance is a sum of scalar weights times channel groups; each such pair has a row of
+    ``band`` and ``xyz``, so the spectrum appears only when a pixel is finished.
+    """
+
+    kind: wp.array[wp.int32]
+    """0 UsdPreviewSurface, 1 skin, 2 the dome seen by the camera, shape [material_count]."""
+
+    row: wp.array[wp.int32]
+    """First row of the material, shape [material_count]."""
+
+    row_count: wp.array[wp.int32]
+
+    weight_count: wp.array[wp.int32]
+    """Reflectance bases: 1 folded into the rows, 3 RGB, else basis weights."""
+
+    wrap_set: wp.array[wp.int32]
+    """Index into ``Lights.wrap``."""
+
+    thickness_nodes: wp.array2d[wp.float32]
+    """Interpolation nodes of the path length [m], shape [material_count, node_count]."""
+
+    thickness_count: wp.array[wp.int32]
+    """Nodes in use; 0 where the body is opaque to its own light, shape [material_count]."""
+
+    flags: wp.array[wp.int32]
+    """Bit 0 specular workflow, 1 presence opacity, 2 specular rows, 3 tinted specular rows,
+    4 emission row, 5 clearcoat."""
+
+    constant: wp.array2d[wp.vec4f]
+    """Values of the inputs that have no texture, shape [material_count, input_count]."""
+
+    slot: wp.array2d[wp.int32]
+    """Texture slot of an input, -1 where constant, shape [material_count, input_count]."""
+
+    slot_texture: wp.array[wp.int32]
+    """Texture read by a slot, -1 where the primvar itself is the value, shape [slot_count]."""
+
+    slot_primvar: wp.array[wp.int32]
+    slot_channel: wp.array[wp.int32]
+    """The primvar looked up, and the channel taken (-1 for all), shape [slot_count]."""
+
+    slot_matrix_u: wp.array[wp.vec3f]
+    slot_matrix_v: wp.array[wp.vec3f]
+    """Rows of the st transform, shape [slot_count]."""
+
+    texel: wp.array[wp.vec4f]
+    texture_level: wp.array2d[wp.vec3i]
+    """(offset, width, height) of each level, shape [texture_count, level_count]."""
+
+    texture_info: wp.array[wp.vec3i]
+    """(levels, wrap s, wrap t), shape [texture_count]."""
+
+    band: wp.array2d[wp.vec4f]
+    """Spectrum of each row's four channels [radiance per coefficient], shape [row_count, bands]."""
+
+    xyz_x: wp.array[wp.vec4f]
+    xyz_y: wp.array[wp.vec4f]
+    xyz_z: wp.array[wp.vec4f]
+    """Tristimulus values of each row's four channels, shape [row_count]."""
+
+
+@wp.struct
+class Film:
+    """One tile of the picture under construction."""
+
+    sample: wp.array[wp.vec2f]
+    """Sample offsets from the pixel's middle [px], warped by the pixel filter, shape [samples]."""
+
+    first_pixel: wp.int32
+    """Pixel the tile starts at, row-major."""
+
+    channel: wp.array2d[wp.vec4f]
+    """Scratch of one material's rows per pixel, zero between uses, shape [tile_pixels, max_rows]."""
+
+    xyza: wp.array[wp.vec4f]
+    """Result: XYZ and alpha, shape [tile_pixels]."""
+
+    spectrum: wp.array2d[wp.float32]
+    """Result: spectral radiance, shape [tile_pixels, bands], or [0, 0] when not wanted."""
+
+    show_dome: wp.int32
+
+
+# Material inputs: columns of ``Materials.constant`` and ``Materials.slot``.
+INPUT_BASE = wp.constant(0)
+INPUT_BASE_HIGH = wp.constant(1)
+INPUT_METALLIC = wp.constant(2)
+INPUT_ROUGHNESS = wp.constant(3)
+INPUT_SPECULAR = wp.constant(4)
+INPUT_CLEARCOAT = wp.constant(5)
+INPUT_CLEARCOAT_ROUGHNESS = wp.constant(6)
+INPUT_OPACITY = wp.constant(7)
+INPUT_EMISSION = wp.constant(8)
+INPUT_THICKNESS = wp.constant(9)
+INPUT_LOBES = wp.constant(10)
+INPUT_COUNT = 11
