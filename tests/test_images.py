@@ -455,7 +455,6 @@ def test_openexr_regression_inputs_are_refused_or_read(realdata):
         _survives(path)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["exr", "hdr", "png", "tif", "jpg"])
 def test_damaged_files_are_refused_or_read(tmp_path, suffix):
     sample_type = "float" if suffix in ("exr", "hdr", "tif") else "uint8"

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from pxr import Sdf, Tf, Usd, UsdMedia
 
 from usdskin import __version__
 from usdskin.errors import LayerError
@@ -22,9 +23,6 @@ from usdskin.layers import (
     write_layer,
 )
 from usdskin.notes import Note
-
-# isort: split
-from pxr import Sdf, Tf, Usd, UsdMedia
 
 HEADER = "#usda 1.0\n"
 

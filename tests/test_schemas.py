@@ -7,13 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
 import usdskin
 from usdskin import schemas
-
-# isort: split
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
-
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM, SpectralQuantity
 
 # The version of usd-core whose generator wrote the committed files; another may order or format

@@ -115,7 +115,7 @@ def xyz_weights(
     weights: FloatArray = cmf * band_widths(wavelength_nm)[:, None]
     if absolute:
         return LUMINOUS_EFFICACY * weights
-    d65 = illuminant("D65", wavelength_nm) / 100.0  # the table's value at 560 nm
+    d65 = resample(*table("illuminants")["D65"], wavelength_nm) / 100.0  # its value at 560 nm
     luminance = float(d65 @ weights[:, 1])
     if luminance <= 0.0:
         raise UsdSkinError("the wavelength grid holds no visible light; cover some of 400..700 nm")

@@ -96,7 +96,7 @@ def _named(name: str, wavelength_nm: ArrayLike) -> FloatArray | None:
     key = name.strip().upper().replace("_", "-")
     key = _OLD_FLUORESCENT.sub(r"FL\1", key)
     if key == "E":
-        return np.ones(np.shape(wavelength_nm))
+        return np.full(np.shape(wavelength_nm), 100.0)
     if key in table("illuminants"):
         return resample(*table("illuminants")[key], wavelength_nm)
     if match := _TEMPERATURE.match(key):

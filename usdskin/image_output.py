@@ -41,7 +41,9 @@ CHROMATICITIES = {
 HALF_MAX = 65504.0
 """Largest finite binary16 number (IEEE 754)."""
 
-_ROWS_PER_BLOCK = 64  # a multiple of the rows in a chunk of every lossless EXR compression
+_ROWS_PER_BLOCK = 64  # several chunks, which are compressed side by side
+_ROWS_PER_CHUNK = 16  # of zip
+_BLOCK_BYTES = 64 * 2**20
 _COMPRESSIONS = frozenset(
     ("none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab")
 )
@@ -284,8 +286,10 @@ def _write_rasters(
 
 def _write_rows(output: Any, spec: Any, raster: _Raster) -> bool:
     dtype = np.uint32 if raster.sample_type == "uint" else np.float32
-    for start in range(0, spec.height, _ROWS_PER_BLOCK):
-        stop = min(start + _ROWS_PER_BLOCK, spec.height)
+    row_bytes = 4 * spec.width * spec.nchannels
+    row_count = _ROWS_PER_BLOCK if row_bytes * _ROWS_PER_BLOCK <= _BLOCK_BYTES else _ROWS_PER_CHUNK
+    for start in range(0, spec.height, row_count):
+        stop = min(start + row_count, spec.height)
         block = np.empty((stop - start, spec.width, spec.nchannels), dtype)
         np.concatenate(
             [layer[start:stop] for layer in raster.layers], axis=2, out=block, casting="unsafe"

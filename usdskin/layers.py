@@ -42,6 +42,30 @@ def quiet_diagnostics() -> Iterator[list[str]]:
         del delegate
 
 
+@contextmanager
+def corruption_as_errors(path: str | Path) -> Iterator[None]:
+    """Raise what USD throws on a corrupt file as an error of ours.
+
+    Opening a layer reads little of it: a broken value may show only when an attribute is read.
+
+    Args:
+        path: Layer that was opened, to be named in the error.
+
+    Raises:
+        LayerError: The block met a ``Tf.ErrorException`` or text that is not UTF-8.
+    """
+    try:
+        yield
+    except Tf.ErrorException as error:
+        texts = [_one_line(item) for item in error.args]
+        reasons = [text for text in texts if text and not text.startswith("Failed to open layer")]
+        reason = f": {reasons[0].rstrip('.')}" if reasons else ""
+        reason = reason.replace(os.path.abspath(path), Path(path).name)
+        raise LayerError(f"{path}: cannot be read as a USD layer{reason}; {_REMEDY}") from None
+    except UnicodeDecodeError:
+        raise LayerError(f"{path}: holds text that is not UTF-8; {_REMEDY}") from None
+
+
 def open_stage(path: str | Path, notes: list[Note] | None = None) -> Usd.Stage:
     """Open a stage and check what would hang, mislead or crash its readers.
 
@@ -89,28 +113,11 @@ def _open(path: str) -> Usd.Stage:
         raise LayerError(f"{path}: no such file; check the name and the folder") from None
     if not stat.S_ISREG(mode):
         raise LayerError(f"{path}: not a file; name the layer itself")
-    with quiet_diagnostics():
-        try:
-            stage = Usd.Stage.Open(path)
-        except Tf.ErrorException as error:
-            raise LayerError(f"{path}: {_reason(error, path)}; {_REMEDY}") from None
-        except UnicodeDecodeError:
-            raise LayerError(f"{path}: holds text that is not UTF-8; {_REMEDY}") from None
-        except (RuntimeError, MemoryError) as error:
-            raise LayerError(f"{path}: cannot be opened: {_flat(str(error))}; {_REMEDY}") from None
+    with quiet_diagnostics(), corruption_as_errors(path):
+        stage = Usd.Stage.Open(path)
     if stage is None:
         raise LayerError(f"{path}: cannot be opened as a USD layer; {_REMEDY}")
     return stage
-
-
-def _reason(error: Tf.ErrorException, path: str) -> str:
-    """Return the first thing USD said went wrong, without its C++ names."""
-    texts = [_one_line(item) for item in error.args]
-    reasons = [text for text in texts if text and not text.startswith("Failed to open layer")]
-    if not reasons:
-        return "cannot be read as a USD layer"
-    reason = reasons[0].replace(os.path.abspath(path), Path(path).name)
-    return f"cannot be read as a USD layer: {reason.rstrip('.')}"
 
 
 def _one_line(diagnostic: Any) -> str:
@@ -166,7 +173,8 @@ def layer_name(subject: Usd.Object) -> str:
     """
     prim = subject.GetPrim()
     specs = subject.GetPropertyStack() if isinstance(subject, Usd.Property) else []
-    specs = specs or prim.GetPrimStack()
+    if not specs and not prim.IsPseudoRoot():
+        specs = prim.GetPrimStack()
     layer = specs[0].layer if specs else prim.GetStage().GetRootLayer()
     return str(layer.GetDisplayName() or layer.identifier)
 
@@ -257,8 +265,8 @@ def record_provenance(
 ) -> None:
     """Record in a stage's root layer who made it, from which inputs and how.
 
-    The record is written twice: as ``customLayerData["usdskin"][step]`` of the layer, and as
-    ``UsdMedia.AuthorshipAPI:<step>`` on its default prim, which composes. It holds no absolute
+    The record is written twice: as ``customLayerData["usdskin"][step]`` of the layer, and, where
+    this USD has it, as ``UsdMedia.AuthorshipAPI:<step>`` on its default prim, which composes. It holds no absolute
     path, no user and no machine. ``SOURCE_DATE_EPOCH`` fixes its time, for reproducible files.
 
     Args:
@@ -299,6 +307,8 @@ def record_provenance(
     data["usdskin"] = {**data.get("usdskin", {}), step: record}
     layer.customLayerData = data
 
+    if not hasattr(UsdMedia, "AuthorshipAPI"):
+        return
     pairs = [text for pair in zip(names, digests, strict=True) for text in pair]
     pairs += [text for name, value in sorted(settings.items()) for text in (name, str(value))]
     with Usd.EditContext(stage, layer):

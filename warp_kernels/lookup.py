@@ -174,29 +174,31 @@ def _wrap_index(i: wp.int32, size: wp.int32, mode: wp.int32) -> wp.int32:
 
 @wp.func
 def _texel(
-    materials: Materials, level: wp.vec3i, i: wp.int32, j: wp.int32, info: wp.vec3i
+    materials: Materials, texture: wp.int32, level: wp.vec3i, i: wp.int32, j: wp.int32
 ) -> wp.vec4f:
+    info = materials.texture_info[texture]
     column = _wrap_index(j, level[1], info[1])
     row = _wrap_index(i, level[2], info[2])
     if column < 0 or row < 0:
-        return wp.vec4f(0.0, 0.0, 0.0, 0.0)
+        return materials.texture_border[texture]
     return materials.texel[level[0] + row * level[1] + column]
 
 
 @wp.func
 def _sample_level(
-    materials: Materials, level: wp.vec3i, st: wp.vec2f, info: wp.vec3i
+    materials: Materials, texture: wp.int32, lower: wp.int32, st: wp.vec2f
 ) -> wp.vec4f:
+    level = materials.texture_level[texture, lower]
     x = st[0] * wp.float32(level[1]) - 0.5
     y = (1.0 - st[1]) * wp.float32(level[2]) - 0.5
     j = wp.int32(wp.floor(x))
     i = wp.int32(wp.floor(y))
     fx = x - wp.float32(j)
     fy = y - wp.float32(i)
-    top = (1.0 - fx) * _texel(materials, level, i, j, info)
-    top += fx * _texel(materials, level, i, j + 1, info)
-    bottom = (1.0 - fx) * _texel(materials, level, i + 1, j, info)
-    bottom += fx * _texel(materials, level, i + 1, j + 1, info)
+    top = (1.0 - fx) * _texel(materials, texture, level, i, j)
+    top += fx * _texel(materials, texture, level, i, j + 1)
+    bottom = (1.0 - fx) * _texel(materials, texture, level, i + 1, j)
+    bottom += fx * _texel(materials, texture, level, i + 1, j + 1)
     return (1.0 - fy) * top + fy * bottom
 
 
@@ -204,15 +206,15 @@ def _sample_level(
 def sample_texture(
     materials: Materials, texture: wp.int32, st: wp.vec2f, width: wp.float32
 ) -> wp.vec4f:
-    """Return a texture at ``st`` (origin bottom left), trilinear for a footprint ``width`` in st."""
+    """Return a texture at ``st`` (origin bottom left), trilinear for a footprint ``width``."""
     info = materials.texture_info[texture]
     base = materials.texture_level[texture, 0]
     texels = width * wp.float32(wp.max(base[1], base[2]))
     level = wp.clamp(wp.log2(wp.max(texels, 1.0e-6)), 0.0, wp.float32(info[0] - 1))
     lower = wp.int32(level)
     blend = level - wp.float32(lower)
-    result = _sample_level(materials, materials.texture_level[texture, lower], st, info)
+    result = _sample_level(materials, texture, lower, st)
     if blend > 0.0:
-        upper = _sample_level(materials, materials.texture_level[texture, lower + 1], st, info)
+        upper = _sample_level(materials, texture, lower + 1, st)
         result = (1.0 - blend) * result + blend * upper
     return result

@@ -58,9 +58,7 @@ class Point:
 
 
 @wp.func
-def read_input(
-    geometry: Geometry, materials: Materials, point: Point, which: wp.int32
-) -> wp.vec4f:
+def read_input(geometry: Geometry, materials: Materials, point: Point, which: wp.int32) -> wp.vec4f:
     """Return a material input at a point: its constant, primvar or texture."""
     slot = materials.slot[point.material, which]
     if slot < 0:
@@ -186,9 +184,7 @@ def _thickness_weight(
 
 
 @wp.func
-def _base_weight(low: wp.vec4f, high: wp.vec4f, count: wp.int32, j: wp.int32) -> wp.float32:
-    if count == 1:
-        return 1.0
+def _base_weight(low: wp.vec4f, high: wp.vec4f, j: wp.int32) -> wp.float32:
     if j < 4:
         return low[j]
     return high[j - 4]
@@ -240,7 +236,7 @@ def shade_skin(
             back = j2 - front
             j2 = front
         for j in range(bases):
-            a = passed * _base_weight(low, high, bases, j)
+            a = passed * _base_weight(low, high, j)
             row = j * groups + g
             film.channel[pixel, row] += a * j1
             film.channel[pixel, span + row] += a * j2
@@ -306,7 +302,7 @@ def shade_preview_surface(
     for g in range(groups):
         j1 = diffuse_light(lights, wrap_set, 0, g, point.normal, coordinates)
         for j in range(bases):
-            film.channel[pixel, j * groups + g] += (diffuse * _base_weight(base, zero, bases, j)) * j1
+            film.channel[pixel, j * groups + g] += (diffuse * _base_weight(base, zero, j)) * j1
     row = bases * groups
     if glossy:
         mirror = wp.normalize(2.0 * nv * point.normal - point.view)
@@ -321,7 +317,7 @@ def shade_preview_surface(
     if (flags & 8) != 0:
         mirror = wp.normalize(2.0 * nv * point.normal - point.view)
         toward = latlong_coordinates(mirror)
-        tints = int(3)
+        tints = 3
         if (flags & 1) == 0:
             tints = bases
         for g in range(groups):
@@ -329,7 +325,7 @@ def shade_preview_surface(
             for j in range(tints):
                 share = tint[wp.min(j, 3)]
                 if (flags & 1) == 0:
-                    share = metallic * _base_weight(base, zero, bases, j)
+                    share = metallic * _base_weight(base, zero, j)
                 film.channel[pixel, row + j * groups + g] += (shine * share) * light
         row = row + tints * groups
     if (flags & 16) != 0:

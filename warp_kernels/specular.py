@@ -15,9 +15,7 @@ SAMPLE_COUNT = wp.constant(128)
 def _node_direction(row: wp.int32, column: wp.int32, rows: wp.int32) -> wp.vec3f:
     polar = PI * wp.float32(row) / wp.float32(rows)
     angle = PI * wp.float32(column) / wp.float32(rows)
-    return wp.vec3f(
-        wp.sin(polar) * wp.sin(angle), wp.cos(polar), -wp.sin(polar) * wp.cos(angle)
-    )
+    return wp.vec3f(wp.sin(polar) * wp.sin(angle), wp.cos(polar), -wp.sin(polar) * wp.cos(angle))
 
 
 @wp.func
@@ -140,3 +138,8 @@ def prefilter(
         outputs=[value_out],
         device=value_out.device,
     )
+
+
+def load(device: str) -> None:
+    """Load this module's kernels, compiled if the cache has none."""
+    wp.load_module(__name__, device)

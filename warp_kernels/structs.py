@@ -164,6 +164,9 @@ class Materials:
     texture_level: wp.array2d[wp.vec3i]
     """(offset, width, height) of each level, shape [texture_count, level_count]."""
 
+    texture_border: wp.array[wp.vec4f]
+    """What wrap mode black reads outside, shape [texture_count]."""
+
     texture_info: wp.array[wp.vec3i]
     """(levels, wrap s, wrap t), shape [texture_count]."""
 
@@ -187,7 +190,7 @@ class Film:
     """Pixel the tile starts at, row-major."""
 
     channel: wp.array2d[wp.vec4f]
-    """Scratch of one material's rows per pixel, zero between uses, shape [tile_pixels, max_rows]."""
+    """Scratch of a material's rows per pixel, zero between uses, [tile_pixels, max_rows]."""
 
     xyza: wp.array[wp.vec4f]
     """Result: XYZ and alpha, shape [tile_pixels]."""

@@ -2,14 +2,78 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from usdskin.commands.options import StepCommand
 from usdskin.commands.reporter import GlobalOptions, Reporter
+from usdskin.errors import EXIT_FINDINGS, EXIT_OK
+
+if TYPE_CHECKING:
+    from usdskin.notes import Note
 
 _PATH = click.Path(path_type=Path)
+
+
+@click.command("import", cls=StepCommand)
+@click.argument("mesh", type=_PATH)
+@click.option("-o", "--output", type=_PATH, required=True, metavar="ASSET.usda", help="To write.")
+@click.option(
+    "--units",
+    type=click.Choice(["m", "dm", "cm", "mm", "in", "ft", "auto"]),
+    help="Unit of the numbers; auto guesses it from the size.  [default: the file's, else cm]",
+)
+@click.option(
+    "--up",
+    "up_axis",
+    type=click.Choice(["y", "z"]),
+    help="Axis that points up.  [default: the file's, else y]",
+)
+@click.option(
+    "--group", "groups", multiple=True, metavar="NAME", help="Keep this group; may be repeated."
+)
+@click.option(
+    "--subdivide",
+    "scheme",
+    type=click.Choice(["catmullClark", "loop", "none"]),
+    help="Subdivision scheme.  [default: what suits the faces]",
+)
+@click.option("--normals", is_flag=True, help="Compute smooth normals in place of the file's.")
+@click.option("--flip-v", is_flag=True, help="Turn texture coordinates counted from the top.")
+@click.option(
+    "--decimate", "decimate_to", type=int, metavar="N", help="Keep at most N triangles (open3d)."
+)
+@click.option("--repair", "repair_mesh", is_flag=True, help="Mend what is broken (open3d).")
+@click.option(
+    "--skin",
+    multiple=True,
+    metavar="MATERIAL",
+    help="This material is skin; may be repeated.  [default: all are]",
+)
+@click.option("--name", help="Name of the asset's prim.  [default: the file's]")
+@click.pass_obj
+def import_(options: GlobalOptions, /, mesh: Path, output: Path, **given: Any) -> None:
+    r"""Make a USD asset of MESH: OBJ, PLY, glTF, STL or OFF.
+
+    Polygons, texture coordinates with their indices, normals and groups (as GeomSubsets) are
+    kept, and a skin material is bound. OBJ is read by usdskin itself, the others by open3d.
+
+    \b
+    Examples:
+        usdskin import head.obj -o head.usda --units cm --skin face
+        usdskin import scan.ply -o scan.usda --repair --decimate 50000
+    """
+    reporter = Reporter(options)
+    from usdskin.meshfiles.step import import_mesh
+
+    notes: list[Note] = []
+    given["skin"] = given["skin"] or None
+    written = import_mesh(mesh, output, **given, notes=notes)
+    reporter.notes(notes)
+    reporter.wrote([written])
 
 
 @click.command("info", cls=StepCommand)
@@ -36,5 +100,36 @@ def info(options: GlobalOptions, /, file: Path) -> None:
         print_report(report)
 
 
-MAKING = ()
-READING = (info,)
+@click.command("validate", cls=StepCommand)
+@click.argument("files", metavar="FILE...", type=_PATH, nargs=-1, required=True)
+@click.option("--strict", is_flag=True, help="Exit with 4 for warnings too.")
+@click.pass_obj
+def validate(options: GlobalOptions, /, files: tuple[Path, ...], strict: bool) -> int:
+    r"""Check each FILE: USD's own validators and the rules of usdSkin.
+
+    Findings are printed one a line, errors first; the exit code is 4 where there are errors.
+
+    \b
+    Example:
+        usdskin validate light.usda skin.usda shot.usda
+    """
+    reporter = Reporter(options)
+    from usdskin.validate import validate as check
+
+    failed = False
+    for file in files:
+        found = check(file)
+        failed |= any(item.severity == "error" for item in found)
+        failed |= strict and any(item.severity == "warning" for item in found)
+        for item in found:
+            if reporter.json:
+                reporter.event("finding", file=str(file), **dataclasses.asdict(item))
+            elif item.severity != "info" or reporter.verbose:
+                click.echo(str(item))
+        if not found and not reporter.json and not reporter.quiet:
+            click.echo(f"{file}: nothing found", err=True)
+    return EXIT_FINDINGS if failed else EXIT_OK
+
+
+MAKING: tuple[click.Command, ...] = (import_,)
+READING = (info, validate)

@@ -158,26 +158,24 @@ def render(options: GlobalOptions, /, stage: Path, output: Path | None, **given:
         device=options.device,
         **given,
     )
-    try:
+    with reporter:
         report = render_stage(stage, output, overrides, reporter.progress())
-    finally:
-        reporter.close()
-    reporter.notes(report.notes)
-    reporter.seconds(report.seconds)
-    reporter.wrote(report.paths)
+    reporter.finish(report)
 
 
 @click.command("map", cls=StepCommand)
 @click.argument("light", type=_PATH)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="MAP.exr", help="File to write.")
 @click.option("-f", "--frame", type=float, help="Frame.  [default: the stage's start]")
-@click.option("--light-prim", metavar="PRIM", help="Take this light alone.  [default: all]")
+@click.option(
+    "--light", "light_prim", metavar="PRIM", help="Take this light alone.  [default: all]"
+)
 @click.option(
     "--material",
     metavar="PRIM",
     help="Skin material to light.  [default: the stage's only one, or a white surface]",
 )
-@click.option("--wrap", type=float, help="Wrap l of the white surface, 0 to 1.  [default: 0]")
+@click.option("--wrap", type=float, help="Wrap l of the white surface, 0 to 1.  [default: 0.3]")
 @click.option("-w", "--width", type=int, help="Width in pixels, twice the height.  [default: 512]")
 @click.option("--wavelengths", metavar="FIRST:LAST:STEP", help="Bands in nm, such as 400:700:5.")
 @click.option(
@@ -215,13 +213,9 @@ def map_(options: GlobalOptions, /, light: Path, output: Path, **given: Any) -> 
         device=options.device,
         **given,
     )
-    try:
+    with reporter:
         report = write_map(light, output, overrides, reporter.progress())
-    finally:
-        reporter.close()
-    reporter.notes(report.notes)
-    reporter.seconds(report.seconds)
-    reporter.wrote(report.paths)
+    reporter.finish(report)
 
 
 COMMANDS = (render, map_)

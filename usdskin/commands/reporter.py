@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from usdskin.errors import UsageError
+from usdskin.errors import FramesError, UsageError
 from usdskin.progress import JsonProgress, PlainProgress, Progress, SilentProgress, TerminalProgress
 
 if TYPE_CHECKING:
     from usdskin.notes import Note
+    from usdskin.render.settings import RenderReport
 
 
 @dataclass(slots=True)
@@ -89,9 +90,27 @@ class Reporter:
             self._progress = PlainProgress(sys.stderr)
         return self._progress
 
-    def close(self) -> None:
+    def __enter__(self) -> Reporter:
+        """Begin a step that shows progress."""
+        return self
+
+    def __exit__(self, *_error: object) -> None:
         """Take a bar that is still drawn off the terminal."""
         self._progress.done()
+
+    def finish(self, report: RenderReport) -> None:
+        """Tell what a render did.
+
+        Raises:
+            FramesError: Some frames failed.
+        """
+        self.notes(report.notes)
+        self.seconds(report.seconds)
+        self.wrote(report.paths)
+        if report.failures:
+            first, reason = next(iter(report.failures.items()))
+            listed = ", ".join(report.failures)
+            raise FramesError(f"{len(report.failures)} frames failed ({listed}); {first}: {reason}")
 
 
 def print_event(name: str, **fields: Any) -> None:

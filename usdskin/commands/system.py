@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-import logging
 import os
 import platform
 import sys
-from importlib import metadata
 from typing import Any
 
 import click
@@ -84,6 +81,8 @@ def doctor(options: GlobalOptions, /) -> int:
 
 
 def _state(distribution: str, module: str, needed: bool) -> tuple[str, bool]:
+    from importlib import import_module, metadata  # 30 ms that --help does not need
+
     try:
         version = metadata.version(distribution)
     except metadata.PackageNotFoundError:
@@ -91,7 +90,7 @@ def _state(distribution: str, module: str, needed: bool) -> tuple[str, bool]:
     if not needed:
         return version, True  # a second's import; the command that uses it says what is missing
     try:
-        importlib.import_module(module)
+        import_module(module)
     except Exception as error:
         reason = " ".join(str(error).split())
         return f"{version}, does not load: {reason}", False
@@ -99,8 +98,11 @@ def _state(distribution: str, module: str, needed: bool) -> tuple[str, bool]:
 
 
 def _warp_facts() -> list[tuple[str, str]]:
+    import logging
+    from importlib import import_module
+
     try:
-        warp: Any = importlib.import_module("warp")
+        warp: Any = import_module("warp")
     except ImportError:
         return []
     warp.config.quiet = True  # Warp up to 1.11 or so; log_level since

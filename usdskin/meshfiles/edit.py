@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,11 +179,11 @@ def angle_weighted_normals(mesh: MeshFile) -> NDArray[np.float64]:
     across: NDArray[np.float64] = np.cross(following, previous)
     angle = np.arctan2(np.linalg.norm(across, axis=1), np.einsum("ij,ij->i", following, previous))
     # A corner of a concave polygon bends the other way: the face's own normal gives the side.
-    areas = np.add.reduceat(across, mesh.face_starts, axis=0)
-    face: NDArray[np.float64] = np.repeat(areas, mesh.face_counts, axis=0)
+    areas: NDArray[Any] = np.add.reduceat(across, mesh.face_starts, axis=0)
+    face = np.repeat(areas, mesh.face_counts, axis=0)
     concave = np.einsum("ij,ij->i", across, face) < 0.0
     weighted = _unit(face) * np.where(concave, 2.0 * np.pi - angle, angle)[:, None]
-    total = np.stack(
+    total: NDArray[Any] = np.stack(
         [np.bincount(mesh.face_indices, weighted[:, i], len(mesh.points)) for i in range(3)], axis=1
     )
     normals = _unit(total)

@@ -40,7 +40,14 @@ def read_gltf(open3d: Any, path: Path) -> MeshFile:
         materials.append(name)
         definitions[name] = _gltf_material(path, document, entry, model.materials[index])
     mesh = _joined(path, parts, names, materials)
-    return dataclasses.replace(mesh, definitions=definitions, meters_per_unit=1.0, up_axis="Y")
+    pictures = {item.diffuse_texture for item in definitions.values()} - {None}
+    return dataclasses.replace(
+        mesh,
+        definitions=definitions,
+        companions=tuple(sorted(picture for picture in pictures if picture is not None)),
+        meters_per_unit=1.0,
+        up_axis="Y",
+    )
 
 
 def _gltf_document(path: Path) -> dict[str, Any]:

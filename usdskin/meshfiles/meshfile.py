@@ -90,6 +90,9 @@ class MeshFile:
     definitions: dict[str, FileMaterial] = field(default_factory=dict)
     """What the file says of the materials it names."""
 
+    companions: tuple[Path, ...] = ()
+    """Other files that were read for the mesh: material files and the pictures they name."""
+
     meters_per_unit: float | None = None
     """Length of the file's unit [m], where the format says; else None."""
 
@@ -182,11 +185,6 @@ class MeshFile:
                 f"{self.source}: face {face} refers to {what} {int(indices[corner])} of {count}; "
                 "the file is damaged or cut short"
             )
-
-
-def srgb_to_linear(encoded: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return linear values of sRGB ones, both from 0 to 1 (IEC 61966-2-1:1999)."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def _shown(row: NDArray[np.float64]) -> str:

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from usdskin.colorimetry import decode_srgb
 from usdskin.errors import MeshError
-from usdskin.meshfiles.meshfile import FLOAT32_LIMIT, FileMaterial, MeshFile, srgb_to_linear
+from usdskin.meshfiles.meshfile import FLOAT32_LIMIT, FileMaterial, MeshFile
 from usdskin.meshfiles.mtl import read_mtl
 from usdskin.meshfiles.text import (
     FACE,
@@ -61,6 +62,9 @@ def read_obj(path: str | Path, notes: list[Note] | None = None) -> MeshFile:
     normal_indices = _complete_normals(path, corners[:, 2], notes)
     groups, objects, materials, libraries = _read_names(statements, faces, notes)
     _note_the_rest(statements, notes)
+    files = _find_libraries(path, libraries, notes)
+    definitions = _read_definitions(files, materials, notes)
+    pictures = {item.diffuse_texture: None for item in definitions.values()}
     return MeshFile(
         source=path,
         points=points,
@@ -74,7 +78,8 @@ def read_obj(path: str | Path, notes: list[Note] | None = None) -> MeshFile:
         groups=groups,
         objects=objects,
         materials=materials,
-        definitions=_read_definitions(path, materials, libraries, notes),
+        definitions=definitions,
+        companions=(*files, *(picture for picture in pictures if picture is not None)),
     )
 
 
@@ -102,7 +107,7 @@ def _read_points(
     if not ((colors >= 0.0) & (colors <= 1.0)).all():
         notes.append(Note("vertex-colors-dropped", path, "vertex colors are not all from 0 to 1"))
         return points, None
-    return points, srgb_to_linear(colors).astype(np.float32)
+    return points, decode_srgb(colors).astype(np.float32)
 
 
 def _read_vectors(
@@ -305,21 +310,28 @@ def _collect(
     return {name: np.concatenate(parts) for name, parts in spans.items()}
 
 
-def _read_definitions(
-    path: Path, used: Iterable[str], libraries: list[str], notes: list[Note]
-) -> dict[str, FileMaterial]:
-    definitions: dict[str, FileMaterial] = {}
+def _find_libraries(path: Path, libraries: list[str], notes: list[Note]) -> tuple[Path, ...]:
+    found: dict[Path, None] = {}
     for text in libraries:
         # One name with spaces in it, or several names.
         names = [text] if (path.parent / text).is_file() else text.split()
         for name in names:
             file = path.parent / name.replace("\\", "/")
             if file.is_file():
-                for material, found in read_mtl(file, notes).items():
-                    definitions.setdefault(material, found)
+                found[file] = None
             else:
                 what = f"the material file {name} is missing; its materials have no color"
                 notes.append(Note("material-file-missing", str(path), what))
+    return tuple(found)
+
+
+def _read_definitions(
+    files: Iterable[Path], used: Iterable[str], notes: list[Note]
+) -> dict[str, FileMaterial]:
+    definitions: dict[str, FileMaterial] = {}
+    for file in files:
+        for name, found in read_mtl(file, notes).items():
+            definitions.setdefault(name, found)
     return {name: definitions[name] for name in used if name in definitions}
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from usdskin.errors import MeshError
 from usdskin.meshfiles.edit import weld_points
+from usdskin.meshfiles.gltf import read_gltf
 from usdskin.meshfiles.meshfile import MeshFile
 from usdskin.meshfiles.through_open3d import damaged, from_open3d, load_open3d, quiet
 from usdskin.notes import Note

@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from usdskin.colorimetry import decode_srgb
 from usdskin.errors import MeshError, UsdSkinError
 from usdskin.meshfiles.edit import unique_rows
-from usdskin.meshfiles.meshfile import MeshFile, srgb_to_linear
+from usdskin.meshfiles.meshfile import MeshFile
 
 _GLIBC_NEEDED = (2, 35)
 _SYSTEM_PACKAGES = "libegl1 libgl1 libgomp1 libidn2-0 libudev1 libusb-1.0-0 libx11-6"
@@ -107,7 +108,7 @@ def from_open3d(path: Path, found: Any, *, with_normals: bool, linear: bool = Fa
         arrays.update(normals=np.asarray(found.vertex_normals), normal_indices=corners)
     if found.has_vertex_colors():
         colors = np.asarray(found.vertex_colors, dtype=np.float64)
-        arrays["colors"] = colors if linear else srgb_to_linear(colors)
+        arrays["colors"] = colors if linear else decode_srgb(colors)
     return MeshFile(
         source=path,
         points=np.asarray(found.vertices, dtype=np.float64),

@@ -6,9 +6,9 @@ Errors name the layer, the prim and the attribute, what is wrong with which valu
 from __future__ import annotations
 
 from usdskin.prims.applied import check_applied_schemas, check_stage_schemas
-from usdskin.prims.lights import SpectralLight, read_spectral_light
+from usdskin.prims.lights import SpectralLight, read_spectral_light, write_spectral_light
 from usdskin.prims.settings import SkinRenderSettings, read_render_settings_api
-from usdskin.prims.skin import SkinParameters, read_skin
+from usdskin.prims.skin import SkinParameters, read_skin, write_skin
 from usdskin.prims.spectra import read_spectrum, write_spectrum
 
 __all__ = [
@@ -21,5 +21,7 @@ __all__ = [
     "read_skin",
     "read_spectral_light",
     "read_spectrum",
+    "write_skin",
+    "write_spectral_light",
     "write_spectrum",
 ]

@@ -1,4 +1,4 @@
-"""``SpectralLightAPI`` -> ``SpectralLight``."""
+"""``SpectralLightAPI`` <-> ``SpectralLight``."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from pxr import Usd
 
 from usdskin.prims.applied import check_applied_schemas
-from usdskin.prims.spectra import read_spectrum
+from usdskin.prims.spectra import read_spectrum, write_spectrum
 from usdskin.prims.values import DEFAULT_TIME, PrimError, Problem, read_schema
+from usdskin.prims.writing import write_schema
 from usdskin.spectrum import SpectralQuantity, Spectrum
 
 _EMISSION_QUANTITIES = (
@@ -109,6 +110,28 @@ def read_spectral_light(
         text = 'is "tabulated", but SpectralDistributionAPI:emission is not applied; add it'
         raise PrimError(prim, Problem("missing-value", "inputs:spectral:source", text))
     return SpectralLight(emission=emission, **fields)
+
+
+def write_spectral_light(
+    prim: Usd.Prim, light: SpectralLight, folder: str | Path | None = None
+) -> None:
+    """Apply ``SpectralLightAPI`` to a light and author its spectrum.
+
+    The rendition for other tools, ``inputs:color`` or an RGB texture, is up to the caller.
+
+    Args:
+        prim: Light prim, written at the stage's edit target.
+        light: What to write.
+        folder: Folder the layer is going to be written to; see ``write_schema``.
+
+    Raises:
+        LayerError: The prim is no light, or a file cannot be named from the layer.
+    """
+    values = {name: getattr(light, field) for field, name in _FIELDS.items()}
+    values["inputs:spectral:basis"] = light.basis
+    write_schema(prim, "SpectralLightAPI", values, folder)
+    if light.emission is not None:
+        write_spectrum(prim, "emission", light.emission)
 
 
 def _read_physical(prim: Usd.Prim, time: Usd.TimeCode | float) -> SpectralLight | None:

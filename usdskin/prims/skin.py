@@ -1,4 +1,4 @@
-"""``SkinMaterialAPI`` -> ``SkinParameters``."""
+"""``SkinMaterialAPI`` <-> ``SkinParameters``."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from pxr import Usd
 
 from usdskin.prims.applied import check_applied_schemas
-from usdskin.prims.spectra import read_spectrum
+from usdskin.prims.spectra import read_spectrum, write_spectrum
 from usdskin.prims.values import DEFAULT_TIME, read_schema
+from usdskin.prims.writing import write_schema
 from usdskin.spectrum import SpectralQuantity, Spectrum
 
 
@@ -74,7 +75,7 @@ class SkinParameters:
     """Reflectance of the surface at normal incidence [1]."""
 
 
-# Field <- attribute, where the value is taken as it is.
+# Field <-> attribute, where the value is taken as it is.
 _FIELDS = {
     "alpha": "inputs:skin:alpha",
     "wrap": "inputs:skin:wrap",
@@ -121,3 +122,27 @@ def read_skin(prim: Usd.Prim, time: Usd.TimeCode | float = DEFAULT_TIME) -> Skin
         scattering=read_spectrum(prim, "scattering", time, (SpectralQuantity.SCATTERING,)),
         **fields,
     )
+
+
+def write_skin(prim: Usd.Prim, skin: SkinParameters, folder: str | Path | None = None) -> None:
+    """Apply ``SkinMaterialAPI`` to a Material and author what a skin is.
+
+    The rendition for other tools, a ``UsdPreviewSurface``, is up to the caller.
+
+    Args:
+        prim: Material prim, written at the stage's edit target.
+        skin: What to write.
+        folder: Folder the layer is going to be written to; see ``write_schema``.
+
+    Raises:
+        LayerError: The prim is no Material, or a file cannot be named from the layer.
+    """
+    values = {name: getattr(skin, field) for field, name in _FIELDS.items()}
+    values["inputs:skin:weights:basis"] = skin.weights_basis
+    if isinstance(skin.opacity, Spectrum):
+        values["inputs:skin:opacity"] = None
+    write_schema(prim, "SkinMaterialAPI", values, folder)
+    for name in ("reflectance", "scattering", "opacity"):
+        spectrum = getattr(skin, name)
+        if isinstance(spectrum, Spectrum):
+            write_spectrum(prim, name, spectrum)

@@ -126,33 +126,26 @@ def read_camera(
     meters_per_unit = UsdGeom.GetStageMetersPerUnit(stage)
     orthographic = camera.GetProjectionAttr().Get(time) == UsdGeom.Tokens.orthographic
 
-    width = _positive(camera.GetHorizontalApertureAttr(), time)
-    height = _positive(camera.GetVerticalApertureAttr(), time)
-    center = (
-        _finite(camera.GetHorizontalApertureOffsetAttr(), time),
-        _finite(camera.GetVerticalApertureOffsetAttr(), time),
+    width, height, pixel_aspect_ratio = conform_aperture(
+        _positive(camera.GetHorizontalApertureAttr(), time),
+        _positive(camera.GetVerticalApertureAttr(), time),
+        resolution,
+        pixel_aspect_ratio,
+        conform_policy,
     )
     # Tenths of a unit cancel in a perspective camera's tangents.
-    scale = (
-        _TENTHS * meters_per_unit
-        if orthographic
-        else 1.0 / _positive(camera.GetFocalLengthAttr(), time)
-    )
-    width, height, pixel_aspect_ratio = conform_aperture(
-        width, height, resolution, pixel_aspect_ratio, conform_policy
-    )
+    focal_length = 1.0 if orthographic else _positive(camera.GetFocalLengthAttr(), time)
+    scale = _TENTHS * meters_per_unit if orthographic else 1.0 / focal_length
+    x = _finite(camera.GetHorizontalApertureOffsetAttr(), time)
+    y = _finite(camera.GetVerticalApertureOffsetAttr(), time)
+    edges = (x - 0.5 * width, x + 0.5 * width, y - 0.5 * height, y + 0.5 * height)
     near, far = _clipping_range(camera, time, orthographic)
     _note_what_is_ignored(camera, time, notes)
     return Camera(
         path=str(prim.GetPath()),
         to_world=_to_world(prim, time, meters_per_unit, notes),
         orthographic=orthographic,
-        window=(
-            (center[0] - 0.5 * width) * scale,
-            (center[0] + 0.5 * width) * scale,
-            (center[1] - 0.5 * height) * scale,
-            (center[1] + 0.5 * height) * scale,
-        ),
+        window=(edges[0] * scale, edges[1] * scale, edges[2] * scale, edges[3] * scale),
         clip_near=near * meters_per_unit,
         clip_far=far * meters_per_unit,
         exposure_scale=_exposure_scale(camera, time),

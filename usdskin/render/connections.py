@@ -17,12 +17,14 @@ from pxr import Sdf, Usd, UsdShade
 
 
 def is_node_output(attribute: Usd.Attribute) -> bool:
+    """Tell whether a connection ends here: at an output of a shader, whether declared or not."""
     connectable = UsdShade.ConnectableAPI(attribute.GetPrim())
     is_output = attribute.GetName().startswith("outputs:")
     return bool(connectable) and not connectable.IsContainer() and is_output
 
 
 def shader_name(shader: UsdShade.Shader) -> str:
+    """Return what a shader is, as notes name it."""
     return str(shader.GetShaderId() or "without info:id")
 
 
@@ -66,13 +68,15 @@ class Network:
             if len(targets) > 1:
                 what = f"{attribute.GetName()} has {len(targets)} connections; the first is shown"
                 self.note("extra-connections-ignored", attribute, what)
-            source = self.stage.GetAttributeAtPath(targets[0])
+            prim = self.stage.GetPrimAtPath(targets[0].GetPrimPath())
+            # An output of a shader need not be declared to be connected to.
+            source = prim.GetAttribute(targets[0].name) if prim else None
+            if source is not None and is_node_output(source):
+                return source
             if not source:
                 what = f"{attribute.GetName()} is connected to <{targets[0]}>, which is not there"
                 self.note("connection-broken", attribute, f"{what}; its own value is shown")
                 return attribute
-            if is_node_output(source):
-                return source
             attribute = source
 
     def source(self, shader: UsdShade.Shader, name: str) -> Usd.Attribute | None:
@@ -84,6 +88,7 @@ class Network:
         return source if is_node_output(source) or source.HasAuthoredValue() else None
 
     def value(self, attribute: Usd.Attribute) -> Any:
+        """Return what an attribute holds at this moment."""
         value = attribute.Get(self.time)
         # What has time samples only has no value at the default time.
         return attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value

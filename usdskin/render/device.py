@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from usdskin.errors import DeviceError
 
@@ -56,6 +61,21 @@ class Workers:
                 raise
 
 
+@contextmanager
+def _without_native_warnings() -> Iterator[None]:
+    """Keep Warp's complaint about a missing CUDA driver, from native code, off stderr."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
 def open_workers(device: str = "auto", threads: int | None = None) -> Workers:
     """Start Warp on a device.
 
@@ -66,7 +86,10 @@ def open_workers(device: str = "auto", threads: int | None = None) -> Workers:
     Raises:
         DeviceError: There is no such device.
     """
-    wp.init()
+    # Warp greets on stdout, which belongs to the paths a command prints.
+    wp.config.log_level = wp.LOG_ERROR
+    with _without_native_warnings():
+        wp.init()
     if device == "auto":
         device = "cuda:0" if wp.is_cuda_available() else "cpu"
     if device.startswith("cuda"):
@@ -82,3 +105,13 @@ def open_workers(device: str = "auto", threads: int | None = None) -> Workers:
     if device != "cpu":
         raise DeviceError(f"--device {device}: no such device; use auto, cpu or cuda:N.")
     return Workers("cpu", threads or os.cpu_count() or 1)
+
+
+def vec3(values: NDArray[Any], device: str) -> wp.array:
+    """Copy values of shape [count, 3] to a device."""
+    return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.vec3f, device=device)
+
+
+def vec4(values: NDArray[Any], device: str) -> wp.array:
+    """Copy values of shape [..., 4] to a device."""
+    return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.vec4f, device=device)

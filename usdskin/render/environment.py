@@ -16,7 +16,7 @@ MAX_PATCH_RADIUS = 0.3
 """Largest chord radius of a leaf."""
 
 MAX_PATCH_CURVATURE = 6.0e-6
-"""Largest share of the flux times squared radius of a leaf: bounds what treating it as flat costs."""
+"""Largest share of the flux times squared radius of a leaf: bounds the cost of its flatness."""
 
 MAX_PATCH_MOMENT = 2.0e-4
 """Largest share of the flux times radius of a leaf: bounds what treating it as uniform costs."""
@@ -149,6 +149,43 @@ def build_environment(
         flux[:, index], moment[:, :, index] = 0.0, 0.0
     tree = Tree(patches, geometry.radius, nodes.skip, moment)
     return Environment(tree, lamps, blocks, glossy)
+
+
+def texel_patches(
+    coefficients: NDArray[np.float32], basis: NDArray[np.float64], to_world: NDArray[np.float64]
+) -> Patches:
+    """Return every texel as a patch of its own whose channels are its reconstructed spectrum.
+
+    Args:
+        coefficients: c, shape [height, width, r].
+        basis: Spectra of the channels, shape [r, bands].
+        to_world: Rotation from the light's frame, shape [3, 3].
+    """
+    height, width, rank = coefficients.shape
+    rows, columns = _texel_integrals(height, width)
+    area, *moments = (np.outer(row, column) for row, column in zip(rows, columns, strict=True))
+    center = np.stack(moments, axis=-1).reshape(-1, 3)
+    polar = np.repeat(np.pi * (np.arange(height) + 0.5) / height, width)
+    angle = np.tile(2.0 * np.pi * (np.arange(width) + 0.5) / width, height)
+    center /= area.reshape(-1, 1)
+    east = np.stack([np.cos(angle), np.zeros_like(angle), np.sin(angle)], axis=-1)
+    south = np.cross(latlong_directions(angle / (2.0 * np.pi), polar), east)
+    spectra = coefficients.reshape(-1, rank).astype(np.float64) @ basis * area.reshape(-1, 1)
+    return Patches(
+        (center @ to_world.T).astype(np.float32),
+        (east * (np.sin(polar) * np.pi / width)[:, None] @ to_world.T).astype(np.float32),
+        (south * (0.5 * np.pi / height) @ to_world.T).astype(np.float32),
+        pad_groups(spectra),
+    )
+
+
+def pad_groups(channels: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return channels [count, r] in groups of four, padded with zeros, [groups, count, 4]."""
+    count, rank = channels.shape
+    groups = max(1, group_count(rank))
+    padded = np.zeros((count, groups * 4), np.float32)
+    padded[:, :rank] = channels
+    return np.ascontiguousarray(padded.reshape(count, groups, 4).transpose(1, 0, 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

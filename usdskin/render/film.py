@@ -57,7 +57,7 @@ def _best_generator(count: int) -> int:
     if count < 3:
         return 1
     if count > 256:
-        return int(round(count * 0.6180339887498949)) | 1
+        return round(count * 0.6180339887498949) | 1
     index = np.arange(1, count)
     best, widest = 1, -1.0
     for step in range(1, count):

@@ -13,7 +13,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from usdskin.render.device import Workers
-from usdskin.render.environment import Environment, group_count
+from usdskin.render.environment import group_count
 from usdskin.render.lights import DomeLight, Lights
 from usdskin.warp_kernels import specular, structs
 
@@ -29,11 +29,19 @@ _MIRROR_ROWS = 256
 def add_reflections(
     field: structs.Lights,
     lights: Lights,
-    environments: tuple[Environment, ...],
+    reflected_blocks: tuple[NDArray[np.int64], ...],
     alphas: tuple[float, ...],
     workers: Workers,
 ) -> None:
-    """Prefilter every dome for the given GGX alphas, ascending; none leaves reflections black."""
+    """Prefilter every dome for the given GGX alphas, ascending; none leaves reflections black.
+
+    Args:
+        field: Where the reflections go.
+        lights: The domes.
+        reflected_blocks: Texels of each dome that are reflected as lamps (``LightField``).
+        alphas: GGX alphas, ascending.
+        workers: Where to compute.
+    """
     device = workers.device
     field.fresnel = wp.array(fresnel_table(), dtype=wp.vec2f, device=device)
     groups = int(field.group_count)
@@ -41,10 +49,12 @@ def add_reflections(
     rows = np.zeros_like(offsets)
     parts: list[NDArray[np.float32]] = []
     used, first = 0, 0
-    for dome, environment in zip(lights.domes, environments, strict=True):
+    if alphas and lights.domes:
+        specular.load(device)
+    for dome, blocks in zip(lights.domes, reflected_blocks, strict=True):
         count = group_count(dome.coefficients.shape[2])
-        for g in range(count):
-            texel, level = _pyramid(dome, environment, g)
+        for g in range(count if alphas else 0):
+            texel, level = _pyramid(dome, blocks, g)
             for k, alpha in enumerate(alphas):
                 size = _grid_rows(alpha)
                 offsets[k, first + g], rows[k, first + g] = used, size
@@ -131,11 +141,11 @@ def _group_image(coefficients: NDArray[np.float32], group: int) -> NDArray[np.fl
 
 
 def _pyramid(
-    dome: DomeLight, environment: Environment, group: int
+    dome: DomeLight, blocks: NDArray[np.int64], group: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Return the texels of all levels and (offset, width, height) of each."""
     image = _group_image(dome.coefficients, group)
-    for row, column, height, width in environment.lamp_blocks[: environment.gloss_lamp_count]:
+    for row, column, height, width in blocks:
         image[row : row + height, column : column + width] = 0.0
     images = [image]
     while min(images[-1].shape[:2]) > 4:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -21,14 +20,14 @@ class TextureInput:
     Its value is ``texel * scale + bias`` at ``st_matrix @ (s, t, 1)``, channel by channel.
     """
 
-    file: Path
+    file: str
     """The picture; may hold ``<UDIM>``, and may be inside a package (``a.usdz[b.png]``)."""
 
     channel: str = "rgb"
     """``rgb``, ``rgba``, ``r``, ``g``, ``b`` or ``a``."""
 
     source_color_space: str = "auto"
-    """``auto``, ``raw`` or ``sRGB``."""
+    """``auto``, ``raw``, ``sRGB`` or USD's name of a color space."""
 
     scale: Four = (1.0, 1.0, 1.0, 1.0)
     """Factor of each channel [1]."""
@@ -51,19 +50,19 @@ class TextureInput:
     st_matrix: NDArray[np.float64] = field(default_factory=lambda: np.eye(2, 3))
     """Map from the primvar to the picture's coordinates [1], shape [2, 3]."""
 
-    first_channel: int = 0
-    """Channel of the file that comes first, for files of more than four."""
+    channels: tuple[int, ...] | None = None
+    """Channels of the file to take, up to four, for files of weights; None takes its R, G, B, A."""
 
     def texture_key(self) -> Hashable:
         """Return what two inputs share when they share the decoded picture."""
         return (
-            str(self.file),
+            self.file,
             self.source_color_space,
             self.scale,
             self.bias,
             self.wrap_s,
             self.wrap_t,
-            self.first_channel,
+            self.channels,
         )
 
 

@@ -130,6 +130,7 @@ def integrate(
 
     chunk = TILE_PIXELS if on_host else GPU_TILE_PIXELS
     chunk = max(width, chunk // width * width)
+    film.load(device)  # once, before the threads ask for it together
     progress.start(count, "render")
     workers.run(count, chunk, work, progress.advance)
     progress.done()

@@ -246,7 +246,13 @@ def constant_spectrum(light: LightPrim, context: Context) -> FloatArray:
     spectrum = _named_at(light.prim, lambda: lamp(temperature, context.wavelength_nm))
     if source == "blackbody" and light.is_absolute:
         return spectrum
-    relative = spectrum / context.luminance(spectrum)
+    luminance = context.luminance(spectrum)
+    if luminance <= 0.0:
+        raise LayerError(
+            f"{describe(light.prim)}: a lamp of {temperature:g} K gives no visible light on this "
+            "wavelength grid; raise inputs:colorTemperature"
+        )
+    relative: FloatArray = spectrum / luminance
     return relative * context.nit() if light.is_absolute else relative
 
 
@@ -278,9 +284,9 @@ def rgb_spectra(light: LightPrim, color_space: str, context: Context) -> FloatAr
         spectra = _named_at(light.prim, lambda: lifted(color_space)) * tint[0]
     else:
         to_tint = xyz_to_rgb(tint_space) @ rgb_to_xyz(color_space)
-        spectra = _named_at(light.prim, lambda: (tint[:, None] * to_tint).T @ lifted(tint_space))
-    spectra = spectra * luminance
-    return spectra * context.nit() if light.is_absolute else spectra
+        spectra = (tint[:, None] * to_tint).T @ _named_at(light.prim, lambda: lifted(tint_space))
+    scaled: FloatArray = spectra * (luminance * (context.nit() if light.is_absolute else 1.0))
+    return scaled
 
 
 def _named_at(prim: Usd.Prim, compute: Callable[[], FloatArray]) -> FloatArray:

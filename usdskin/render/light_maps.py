@@ -1,34 +1,30 @@
 """Domes and distant lights, made ready to be looked up at any normal.
 
 Reads: ``Lights``. Makes: ``LightField``, the kernels' ``Lights`` struct with the spectra of its
-channels. Every smooth map is doubled in size until it meets its error target, measured where it
-matters: at random normals and along the kinks of the strongest patches left in it.
+channels: smooth maps of each dome, and the small bright lamps that are evaluated by themselves.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from usdskin.render.device import Workers
+from usdskin.errors import UsageError
+from usdskin.render.device import Workers, vec3, vec4
 from usdskin.render.environment import (
     Environment,
     Patches,
     build_environment,
     group_count,
-    latlong_directions,
+    pad_groups,
+    texel_patches,
 )
 from usdskin.render.lights import DistantLight, DomeLight, Lights
-from usdskin.warp_kernels import reflectance_map, structs
-
-MAP_ERROR_TARGET = 2.5e-4
-"""Largest interpolation error of a map, relative to the peak of the light it is part of."""
-
-MAP_ROWS = (32, 64, 128, 256, 512)
-"""Sizes tried, in order: H rows of nodes, 2 H columns."""
+from usdskin.render.zonal_maps import bake_maps, tangents
+from usdskin.warp_kernels import structs
 
 _DISC_TO_SQUARE = 0.5 * np.sqrt(3.0)
 """Half side of the square with a disc's second moment, per unit of its radius."""
@@ -42,7 +38,10 @@ class LightField:
     basis: NDArray[np.float64]
     """Spectrum of every channel, zero where a group is not full, shape [groups, 4, bands]."""
 
-    environments: tuple[Environment, ...]
+    reflected_blocks: tuple[NDArray[np.int64], ...]
+    """Per dome, (row, column, height, width) of the texels whose lamps are reflected by themselves,
+    shape [count, 4]."""
+
     map_rows: tuple[int, ...]
     """H of each dome's maps."""
 
@@ -61,20 +60,6 @@ class _Lamps:
 
     gloss: int
     """How many of them, the first ones, are reflected by themselves."""
-
-
-def to_device(tree_or_patches: Environment, device: str) -> reflectance_map.PatchTree:
-    """Copy an environment's tree to a device."""
-    tree = tree_or_patches.tree
-    target = reflectance_map.PatchTree()
-    target.center = _vec3(tree.patches.center, device)
-    target.half_azimuth = _vec3(tree.patches.half_azimuth, device)
-    target.half_elevation = _vec3(tree.patches.half_elevation, device)
-    target.radius = wp.array(tree.radius, dtype=wp.float32, device=device)
-    target.skip = wp.array(tree.skip, dtype=wp.int32, device=device)
-    target.flux = _vec4(tree.patches.flux, device)
-    target.flux_x, target.flux_y, target.flux_z = (_vec4(m, device) for m in tree.first_moment)
-    return target
 
 
 def build_light_field(
@@ -100,14 +85,15 @@ def build_light_field(
     rows = np.zeros(total, np.int32)
     lamps: list[_Lamps] = []
     values: list[NDArray[np.float32]] = []
-    environments, sizes, errors = [], [], []
+    blocks: list[NDArray[np.int64]] = []
+    sizes, errors = [], []
     begin, used = 0, 0
     for dome, count in zip(lights.domes, groups, strict=True):
         environment = dome_environment(dome)
-        environments.append(environment)
+        blocks.append(environment.lamp_blocks[: environment.gloss_lamp_count])
         _fill_basis(basis[begin : begin + count], dome.basis)
         if environment.tree.skip.size:
-            maps, size, error = _bake_dome(environment, wraps, dome, workers)
+            maps, size, error = bake_maps(environment, wraps, _channel_scale(dome), workers)
             for w in range(len(wraps)):
                 for kernel in range(3):
                     for g in range(count):
@@ -123,20 +109,92 @@ def build_light_field(
     field = structs.Lights()
     field.group_count = total
     flat = np.concatenate(values) if values else np.zeros((0, 4), np.float32)
-    field.map_value = _vec4(flat, device)
+    field.map_value = vec4(flat, device)
     field.map_offset = wp.array(offsets, dtype=wp.int32, device=device)
     field.map_rows = wp.array(rows, dtype=wp.int32, device=device)
     field.wrap = wp.array(np.array(wraps, np.float32), dtype=wp.float32, device=device)
     lamp_count = _upload_lamps(field, lamps, device)
-    return LightField(
-        field, basis, tuple(environments), tuple(sizes), tuple(errors), lamp_count
-    )  # fmt: skip
+    return LightField(field, basis, tuple(blocks), tuple(sizes), tuple(errors), lamp_count)
+
+
+def build_brute_field(
+    lights: Lights, wraps: tuple[float, ...], workers: Workers, wavelength_count: int
+) -> LightField:
+    """Return the oracle's light: every texel a lamp, every band a channel, and no maps.
+
+    The texels' spectra are reconstructed first; neither the factorisation nor an interpolated map
+    has a part in the picture, which takes time in proportion to texels times bands.
+
+    Args:
+        lights: Domes and distant lights.
+        wraps: The values of l that materials use.
+        workers: Where to compute.
+        wavelength_count: Bands of the lights' spectra.
+    """
+    groups = group_count(wavelength_count)
+    basis = np.zeros((groups, 4, wavelength_count))
+    _fill_basis(basis, np.eye(wavelength_count))
+    spectra = np.zeros((len(lights.distants), wavelength_count))
+    for k, distant in enumerate(lights.distants):
+        spectra[k] = distant.irradiance
+    patches = [_distant_patches(lights.distants, spectra)]
+    patches += [
+        texel_patches(dome.coefficients, dome.basis, dome.to_world) for dome in lights.domes
+    ]
+    field = structs.Lights()
+    field.group_count = groups
+    field.map_value = vec4(np.zeros((0, 4)), workers.device)
+    field.wrap = wp.array(np.array(wraps, np.float32), dtype=wp.float32, device=workers.device)
+    field.map_offset = wp.full((len(wraps), 3, groups), -1, dtype=wp.int32, device=workers.device)
+    field.map_rows = wp.zeros(groups, dtype=wp.int32, device=workers.device)
+    lamps = [
+        _Lamps(
+            Patches(
+                np.concatenate([part.center for part in patches]),
+                np.concatenate([part.half_azimuth for part in patches]),
+                np.concatenate([part.half_elevation for part in patches]),
+                np.concatenate([part.flux[g : g + 1] for part in patches], axis=1),
+            ),
+            len(lights.distants),
+        )
+        for g in range(groups)
+    ]
+    count = _upload_lamps(field, lamps, workers.device)
+    none = tuple(np.zeros((0, 4), np.int64) for _ in lights.domes)
+    return LightField(field, basis, none, (), (), count)
+
+
+def banded(lights: Lights) -> Lights:
+    """Return the lights with the bands themselves as the dome's channels.
+
+    For the oracle's reflections and background; what it integrates is in ``build_brute_field``.
+
+    Raises:
+        UsageError: There are several domes, whose maps cannot share the channels.
+    """
+    if len(lights.domes) > 1:
+        names = ", ".join(dome.path for dome in lights.domes)
+        raise UsageError(f"--spectral brute takes one dome, and this stage has {names}; hide one.")
+    return Lights(
+        tuple(
+            replace(
+                dome,
+                coefficients=(dome.coefficients @ dome.basis.astype(np.float32)),
+                basis=np.eye(dome.basis.shape[1]),
+            )
+            for dome in lights.domes
+        ),
+        lights.distants,
+    )
 
 
 def dome_environment(dome: DomeLight) -> Environment:
     """Return the patch tree of a dome, refined where its spectra are strong."""
-    scale = np.abs(dome.basis).max(axis=1)
-    return build_environment(dome.coefficients, scale, dome.to_world)
+    return build_environment(dome.coefficients, _channel_scale(dome), dome.to_world)
+
+
+def _channel_scale(dome: DomeLight) -> NDArray[np.float64]:
+    return np.asarray(np.abs(dome.basis).max(axis=1))
 
 
 def _fill_basis(target: NDArray[np.float64], basis: NDArray[np.float64]) -> None:
@@ -144,25 +202,36 @@ def _fill_basis(target: NDArray[np.float64], basis: NDArray[np.float64]) -> None
         target[k // 4, k % 4] = spectrum
 
 
-def _distant_lamps(
-    distants: tuple[DistantLight, ...], basis: NDArray[np.float64]
-) -> list[_Lamps]:
+def _distant_lamps(distants: tuple[DistantLight, ...], basis: NDArray[np.float64]) -> list[_Lamps]:
     """Return the distant lights of each group of four, and fill their groups' spectra."""
-    count = len(distants)
-    direction, azimuth, elevation = (np.zeros((count, 3)) for _ in range(3))
-    flux = np.zeros((count, 4), np.float32)
     for k, distant in enumerate(distants):
         basis[k // 4, k % 4] = distant.irradiance
-        flux[k, k % 4] = 1.0
+    found = _distant_patches(distants, np.tile(np.eye(4), (len(basis), 1))[: len(distants)])
+    parts = [slice(k, k + 4) for k in range(0, len(distants), 4)]
+    return [
+        _Lamps(
+            Patches(found.center[part], found.half_azimuth[part], found.half_elevation[part],
+                    found.flux[:, part]),
+            4,
+        )
+        for part in parts
+    ]  # fmt: skip
+
+
+def _distant_patches(distants: tuple[DistantLight, ...], channels: NDArray[np.float64]) -> Patches:
+    """Return the discs of distant lights as squares with the same second moment.
+
+    Args:
+        distants: The lights.
+        channels: Irradiance of each in the light's channels, shape [count, channel_count].
+    """
+    direction, azimuth, elevation = (np.zeros((len(distants), 3)) for _ in range(3))
+    for k, distant in enumerate(distants):
         direction[k] = distant.direction / np.linalg.norm(distant.direction)
-        first, second = _tangents(direction[k])
+        first, second = tangents(direction[k])
         half = _DISC_TO_SQUARE * np.radians(distant.angle_deg) / 2.0
         azimuth[k], elevation[k] = half * first, half * second
-    parts = [slice(k, k + 4) for k in range(0, count, 4)]
-    return [
-        _Lamps(Patches(direction[part], azimuth[part], elevation[part], flux[None, part]), 4)
-        for part in parts
-    ]
+    return Patches(direction, azimuth, elevation, pad_groups(channels))
 
 
 def _dome_lamps(environment: Environment, groups: int) -> list[_Lamps]:
@@ -176,13 +245,6 @@ def _dome_lamps(environment: Environment, groups: int) -> list[_Lamps]:
     ]
 
 
-def _tangents(axis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(axis, helper)
-    first /= np.linalg.norm(first)
-    return first, np.cross(axis, first)
-
-
 def _upload_lamps(field: structs.Lights, lamps: list[_Lamps], device: str) -> int:
     """Hand the lamps of every group to the kernels; return the number of distinct ones."""
 
@@ -193,157 +255,13 @@ def _upload_lamps(field: structs.Lights, lamps: list[_Lamps], device: str) -> in
     counts = np.array([len(lamp.patches.center) for lamp in lamps] or [0])
     gloss = np.array([min(lamp.gloss, len(lamp.patches.center)) for lamp in lamps] or [0])
     end = np.cumsum(counts)
-    field.lamp_center = _vec3(joined("center"), device)
-    field.lamp_azimuth = _vec3(joined("half_azimuth"), device)
-    field.lamp_elevation = _vec3(joined("half_elevation"), device)
+    field.lamp_center = vec3(joined("center"), device)
+    field.lamp_azimuth = vec3(joined("half_azimuth"), device)
+    field.lamp_elevation = vec3(joined("half_elevation"), device)
     flux = [lamp.patches.flux[0] for lamp in lamps]
-    field.lamp_flux = _vec4(np.concatenate([np.zeros((0, 4)), *flux]), device)
+    field.lamp_flux = vec4(np.concatenate([np.zeros((0, 4)), *flux]), device)
     field.lamp_end = wp.array(end.astype(np.int32), dtype=wp.int32, device=device)
-    field.gloss_end = wp.array((end - counts + gloss).astype(np.int32), dtype=wp.int32, device=device)
+    field.gloss_end = wp.array(
+        (end - counts + gloss).astype(np.int32), dtype=wp.int32, device=device
+    )
     return int(counts.sum())
-
-
-def integrate_normals(
-    tree: reflectance_map.PatchTree,
-    normals: NDArray[np.float64],
-    wrap: float,
-    groups: int,
-    workers: Workers,
-) -> NDArray[np.float32]:
-    """Return J1, J2 and H of the tree at normals, shape [3, groups, count, 4]."""
-    count = len(normals)
-    normal = _vec3(normals, workers.device)
-    out = tuple(
-        wp.empty((groups, count), dtype=wp.vec4f, device=workers.device) for _ in range(3)
-    )
-
-    def work(begin: int, end: int) -> None:
-        reflectance_map.integrate_zonal(tree, normal, wrap, out, begin, end)
-
-    workers.run(count, 1024 if workers.device == "cpu" else count, work)
-    return np.stack([part.numpy() for part in out])
-
-
-def node_normals(rows: int) -> NDArray[np.float64]:
-    """Return the directions of a map's nodes, poles included, shape [(rows + 1) 2 rows, 3]."""
-    polar, turns = np.meshgrid(
-        np.pi * np.arange(rows + 1) / rows, np.arange(2 * rows) / (2 * rows), indexing="ij"
-    )
-    return latlong_directions(turns.ravel(), polar.ravel())
-
-
-def _bake_dome(
-    environment: Environment, wraps: tuple[float, ...], dome: DomeLight, workers: Workers
-) -> tuple[list[list[list[NDArray[np.float32]]]], int, float]:
-    """Return padded maps [wrap][kernel][group], their rows and their measured error."""
-    tree = to_device(environment, workers.device)
-    groups = environment.tree.patches.flux.shape[0]
-    scale = np.zeros(groups * 4)
-    scale[: len(dome.basis)] = np.abs(dome.basis).max(axis=1)
-    checks = [_check_normals(environment, wrap) for wrap in wraps]
-    truth = [
-        integrate_normals(tree, normals, wrap, groups, workers)
-        for normals, wrap in zip(checks, wraps, strict=True)
-    ]
-    peaks = [
-        max(_strength(part[1], scale).max(), 1e-30) + _lamp_peak(environment.lamps, scale)
-        for part in truth
-    ]
-    for rows in MAP_ROWS:
-        grids = [
-            integrate_normals(tree, node_normals(rows), wrap, groups, workers) for wrap in wraps
-        ]
-        padded = [[[_pad_nodes(grid[k, g], rows) for g in range(groups)] for k in range(3)]
-                  for grid in grids]  # fmt: skip
-        error = 0.0
-        for normals, exact, maps, peak in zip(checks, truth, padded, peaks, strict=True):
-            for kernel in range(2):
-                found = np.stack([_interpolate(maps[kernel][g], rows, normals)
-                                  for g in range(groups)])  # fmt: skip
-                error = max(error, float(_strength(found - exact[kernel], scale).max() / peak))
-        if error <= MAP_ERROR_TARGET:
-            break
-    return padded, rows, error
-
-
-def _strength(values: NDArray, scale: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weighted size of coefficients [groups, count, 4] per normal."""
-    weighted = values * scale.reshape(-1, 1, 4)
-    return np.asarray(np.sqrt((weighted**2).sum(axis=(0, 2))))
-
-
-def _lamp_peak(lamps: Patches, scale: NDArray[np.float64]) -> float:
-    """Return a lower bound of what the lamps add at the brightest normal."""
-    if not len(lamps.center):
-        return 0.0
-    strength = _strength(lamps.flux, scale)
-    mean = (lamps.center * strength[:, None]).sum(axis=0)
-    return float(np.linalg.norm(mean))
-
-
-def _check_normals(environment: Environment, wrap: float) -> NDArray[np.float64]:
-    """Return a spiral of normals and rings of them at the kinks of the strongest patches."""
-    k = np.arange(512) + 0.5
-    cosine = 1.0 - k / 256.0
-    angle = np.pi * (1.0 + np.sqrt(5.0)) * k
-    sine = np.sqrt(1.0 - cosine**2)
-    normals = [np.stack([sine * np.cos(angle), cosine, sine * np.sin(angle)], axis=-1)]
-    patches = environment.tree.patches
-    leaf = environment.tree.skip == np.arange(1, len(environment.tree.skip) + 1)
-    strength = np.abs(patches.flux).sum(axis=(0, 2)) * leaf
-    for index in np.argsort(-strength, kind="stable")[:16]:
-        axis = patches.center[index].astype(np.float64)
-        axis /= np.linalg.norm(axis)
-        first, second = _tangents(axis)
-        turn = 2.0 * np.pi * (np.arange(24) + 0.37) / 24
-        ring = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
-        for kink in {0.0, -wrap}:
-            normals.append(kink * axis + np.sqrt(max(0.0, 1.0 - kink**2)) * ring)
-    return np.concatenate(normals)
-
-
-def _pad_nodes(values: NDArray[np.float32], rows: int) -> NDArray[np.float32]:
-    """Surround a node grid as the bicubic lookup needs it; over a pole the azimuth turns by half.
-
-    From [(rows + 1) 2 rows, 4] to [(rows + 3) (2 rows + 3), 4].
-    """
-    grid = values.reshape(rows + 1, 2 * rows, 4)
-    over_top = np.roll(grid[1], rows, axis=0)[None]
-    over_bottom = np.roll(grid[-2], rows, axis=0)[None]
-    grid = np.concatenate([over_top, grid, over_bottom])
-    grid = np.concatenate([grid[:, -1:], grid, grid[:, :2]], axis=1)
-    return np.ascontiguousarray(grid.reshape(-1, 4))
-
-
-def _interpolate(
-    padded: NDArray[np.float32], rows: int, normals: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Look a padded map up as the kernels do, shape [count, 4]."""
-    y = np.arccos(np.clip(normals[:, 1], -1.0, 1.0)) / np.pi * rows
-    x = (np.arctan2(normals[:, 0], -normals[:, 2]) / (2.0 * np.pi) % 1.0) * 2 * rows
-    i = np.clip(y.astype(int), 0, rows - 1)
-    j = np.clip(x.astype(int), 0, 2 * rows - 1)
-    grid = padded.reshape(rows + 3, 2 * rows + 3, 4)
-    weights_y, weights_x = _cubic_weights(y - i), _cubic_weights(x - j)
-    total = np.zeros((len(normals), 4))
-    for a in range(4):
-        for b in range(4):
-            total += (weights_y[a] * weights_x[b])[:, None] * grid[i + a, j + b]
-    return total
-
-
-def _cubic_weights(t: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    return (
-        -0.5 * t + t**2 - 0.5 * t**3,
-        1.0 - 2.5 * t**2 + 1.5 * t**3,
-        0.5 * t + 2.0 * t**2 - 1.5 * t**3,
-        -0.5 * t**2 + 0.5 * t**3,
-    )
-
-
-def _vec3(values: NDArray, device: str) -> wp.array:
-    return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.vec3f, device=device)
-
-
-def _vec4(values: NDArray, device: str) -> wp.array:
-    return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.vec4f, device=device)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from usdskin.errors import LayerError
 from usdskin.layers import describe
@@ -38,6 +39,9 @@ __all__ = [
 
 THICKNESS_PRIMVAR = "skin:thickness"
 """Primvar that wins over ``inputs:skin:thickness`` [m]."""
+
+WEIGHTS_LIMIT = 8
+"""Most spectra that weights may multiply."""
 
 DISPLAY_COLOR = (0.18, 0.18, 0.18)
 """Grey of geometry without displayColor, the fallback of ``UsdPreviewSurface.diffuseColor``."""
@@ -268,28 +272,50 @@ def _read_skin_material(
         if attribute.GetName().startswith("inputs:skin:") and attribute.HasAuthoredConnections():
             what = f"{attribute.GetName()} is connected; its own value is shown"
             notes.append(Note("connection-ignored", path, what))
-    albedo = weights = high = None
+    albedo = None
     if parameters.albedo_file is not None and parameters.weights_file is not None:
         raise LayerError(
             f"{describe(prim)}: has both inputs:skin:albedo:file and inputs:skin:weights:file; "
             "remove one of them"
         )
     if parameters.albedo_file is not None:
-        albedo = TextureInput(
-            parameters.albedo_file,
-            source_color_space=parameters.albedo_color_space,
-            primvar=parameters.texcoord,
-        )
-    if parameters.weights_file is not None:
-        weights = TextureInput(
-            parameters.weights_file,
-            channel="rgba",
-            source_color_space="raw",
-            primvar=parameters.texcoord,
-        )
-        if parameters.weights_basis is not None and len(parameters.weights_basis) > 4:
-            high = dataclasses.replace(weights, first_channel=4)
+        albedo = _skin_texture(parameters, parameters.albedo_file, "rgb")
+    weights, high = _weights(prim, parameters)
     # Without opacity light from behind passes unweakened, however long its way.
     opaque = isinstance(parameters.opacity, Spectrum) or parameters.opacity > 0.0
     thickness = THICKNESS_PRIMVAR if opaque else None
     return SkinMaterial(path, parameters, albedo, weights, high, thickness)
+
+
+def _weights(
+    prim: Usd.Prim, parameters: SkinParameters
+) -> tuple[TextureInput | None, TextureInput | None]:
+    """Return the textures of the first four weights, and of the rest."""
+    if parameters.weights_file is None:
+        return None, None
+    count = 0 if parameters.weights_basis is None else len(parameters.weights_basis)
+    if not 1 <= count <= WEIGHTS_LIMIT:
+        raise LayerError(
+            f"{describe(prim)}: inputs:skin:weights:basis has {count} spectra; give 1 to "
+            f"{WEIGHTS_LIMIT} for the weights texture to multiply"
+        )
+    low, high = tuple(range(min(count, 4))), tuple(range(4, count))
+    first, rest = (
+        _skin_texture(parameters, parameters.weights_file, "rgba", channels)
+        for channels in (low, high)
+    )
+    return first, rest if high else None
+
+
+def _skin_texture(
+    parameters: SkinParameters, file: Path, channel: str, channels: tuple[int, ...] | None = None
+) -> TextureInput:
+    return TextureInput(
+        str(file),
+        channel,
+        source_color_space="raw" if channels else parameters.albedo_color_space,
+        wrap_s="repeat",
+        wrap_t="repeat",
+        primvar=parameters.texcoord,
+        channels=channels,
+    )

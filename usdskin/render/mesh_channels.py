@@ -90,8 +90,10 @@ def _pinned_values(
     on_boundary = np.zeros(mesh.vertex_count, dtype=np.bool_)
     on_boundary[mesh.edge_vertex[mesh.edge[mesh.twin < 0]]] = True
     parted_value, boundary_value = parted[vertex], on_boundary[vertex]
+    pinned: BoolArray
     if rule == "boundaries":
-        return parted_value | boundary_value
+        pinned = parted_value | boundary_value
+        return pinned
     faces = np.bincount(channel.corner_vertex, minlength=count)
     alone = faces == 1
     pinned = alone & (parted_value | boundary_value)

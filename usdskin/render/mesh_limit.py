@@ -22,18 +22,14 @@ from usdskin.render.mesh_net import (
     sum_rows,
     vertex_rules,
 )
-from usdskin.render.mesh_topology import BoolArray, FloatArray, IndexArray, Topology
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CornerNormals:
-    """Unit normals that corners share."""
-
-    normal: FloatArray
-    """Unit vectors, shape [normal_count, 3]."""
-
-    corner_normal: IndexArray
-    """Normal of each corner, shape [corner_count]."""
+from usdskin.render.mesh_topology import (
+    BoolArray,
+    CornerRows,
+    FloatArray,
+    IndexArray,
+    Topology,
+)
+from usdskin.render.polygons import area_vectors, cross
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +68,7 @@ def limit_values(net: Net, values: FloatArray) -> FloatArray:
     return _limit(net, values, vertex_rules(net), None)
 
 
-def limit_surface(net: Net, values: FloatArray) -> tuple[FloatArray, CornerNormals]:
+def limit_surface(net: Net, values: FloatArray) -> tuple[FloatArray, CornerRows]:
     """Return the limit values and the unit normals of the limit surface.
 
     Args:
@@ -86,8 +82,7 @@ def limit_surface(net: Net, values: FloatArray) -> tuple[FloatArray, CornerNorma
     """
     mesh = net.topology
     if net.scheme == "bilinear":
-        cross = _unit(corner_crosses(mesh, values[:, :3]))
-        return values, CornerNormals(cross, np.arange(mesh.corner_count))
+        return values, _patch_normals(mesh, values[:, :3])
     rules = vertex_rules(net)
     smooth_normal = np.zeros((mesh.vertex_count, 3))
     limit = _limit(net, values, rules, smooth_normal)
@@ -100,13 +95,13 @@ def limit_surface(net: Net, values: FloatArray) -> tuple[FloatArray, CornerNorma
     share_of_sector = share[sectors.vertex]
     creased = (share_of_sector > 0.0) & ~sectors.closed & (sectors.size > 1)
     along = np.where(creased[:, None], _crease_normals(net, points, sectors), 0.0)
-    along, summed = _unit(along), _unit(summed)
+    along, summed = unit(along), unit(summed)
     mixed = share_of_sector[:, None] * along + (1.0 - share_of_sector[:, None]) * summed
     sector_normal = np.where(creased[:, None], mixed, summed)
-    return limit, _assemble(net, rules, _unit(smooth_normal), sectors, sector_normal, points)
+    return limit, _assemble(net, rules, unit(smooth_normal), sectors, sector_normal, points)
 
 
-def cage_normals(net: Net, points: FloatArray) -> CornerNormals:
+def cage_normals(net: Net, points: FloatArray) -> CornerRows:
     """Return smooth normals of the control mesh itself, split along its sharp edges.
 
     The normals of the corners around a vertex are averaged by the angle of the corner.
@@ -117,19 +112,31 @@ def cage_normals(net: Net, points: FloatArray) -> CornerNormals:
     """
     mesh = net.topology
     if net.scheme == "bilinear":
-        return CornerNormals(_unit(corner_crosses(mesh, points)), np.arange(mesh.corner_count))
+        return _patch_normals(mesh, points)
     rules = vertex_rules(net)
     own = points[mesh.corner_vertex]
     ahead = own[mesh.corner_next] - own
     behind = own[mesh.corner_previous] - own
-    cross = np.cross(ahead, behind)
-    length = np.linalg.norm(cross, axis=1)
+    normal = cross(ahead, behind)
+    length = np.linalg.norm(normal, axis=1)
     angle = np.arctan2(length, np.einsum("ij,ij->i", ahead, behind))
-    weighted = cross * (angle / np.maximum(length, np.finfo(float).tiny))[:, None]
-    smooth_normal = _unit(sum_rows(mesh.corner_vertex, weighted, mesh.vertex_count))
+    weighted = normal * (angle / np.maximum(length, np.finfo(float).tiny))[:, None]
+    smooth_normal = unit(sum_rows(mesh.corner_vertex, weighted, mesh.vertex_count))
     sectors = find_sectors(mesh, net.edge_sharpness > 0.0, rules.special)
-    sector_normal = _unit(sum_rows(sectors.sector, weighted[sectors.corner], len(sectors.size)))
+    sector_normal = unit(sum_rows(sectors.sector, weighted[sectors.corner], len(sectors.size)))
     return _assemble(net, rules, smooth_normal, sectors, sector_normal, points)
+
+
+def _patch_normals(mesh: Topology, points: FloatArray) -> CornerRows:
+    """Return the normals of bilinear patches at their corners, of larger faces their own.
+
+    At a corner that turns inwards the patch folds over; the normal of its face stands in.
+    """
+    crosses = corner_crosses(mesh, points)
+    area = area_vectors(mesh.face_sizes, points[mesh.corner_vertex])[0][mesh.corner_face]
+    flat = (mesh.face_sizes > 4)[mesh.corner_face] | (np.einsum("ij,ij->i", crosses, area) <= 0.0)
+    normal = unit(np.where(flat[:, None], area, crosses))
+    return CornerRows(normal, np.arange(mesh.corner_count))
 
 
 def corner_crosses(
@@ -140,7 +147,7 @@ def corner_crosses(
     own = points[mesh.corner_vertex[chosen]]
     ahead = points[mesh.corner_vertex[mesh.corner_next[chosen]]] - own
     behind = points[mesh.corner_vertex[mesh.corner_previous[chosen]]] - own
-    return np.cross(ahead, behind)
+    return cross(ahead, behind)
 
 
 def find_sectors(mesh: Topology, sharp: BoolArray, vertices: IndexArray) -> Sectors:
@@ -259,7 +266,7 @@ def _limit_smooth(
         weight = 1.0 / (valence + 3.0 / (8.0 * loop_weights(np.array(valence))))
         limit[vertices] = (1.0 - valence * weight) * own + weight * across_sum
     if normal_out is not None:
-        normal_out[vertices] = np.cross(tangents[0], tangents[1])
+        normal_out[vertices] = cross(tangents[0], tangents[1])
 
 
 def _add(tangent: FloatArray, weight: float, values: FloatArray) -> None:
@@ -295,7 +302,7 @@ def _crease_normals(net: Net, points: FloatArray, sectors: Sectors) -> FloatArra
     inward = sum_rows(sectors.sector, terms, count)
     inward += own_weight[:, None] * points[sectors.vertex]
     inward += end_weight[:, None] * (ends[0] + ends[1])
-    return np.cross(ends[0] - ends[1], inward)
+    return cross(ends[0] - ends[1], inward)
 
 
 def _inward_stencil(
@@ -350,7 +357,7 @@ def _assemble(
     sectors: Sectors,
     sector_normal: FloatArray,
     points: FloatArray,
-) -> CornerNormals:
+) -> CornerRows:
     """Put vertex and sector normals in one table, with a stand-in where a stencil vanishes."""
     mesh = net.topology
     share = np.zeros(mesh.vertex_count)
@@ -358,7 +365,7 @@ def _assemble(
     share_of_sector = share[sectors.vertex][:, None]
     split = share_of_sector * smooth_normal[sectors.vertex]
     split += (1.0 - share_of_sector) * sector_normal
-    normal = np.concatenate([smooth_normal, _unit(split)])
+    normal = np.concatenate([smooth_normal, unit(split)])
     corner_normal = mesh.corner_vertex.copy()
     corner_normal[sectors.corner] = mesh.vertex_count + sectors.sector
     used = np.zeros(len(normal), dtype=np.bool_)
@@ -366,27 +373,15 @@ def _assemble(
     missing = used & ~np.any(normal, axis=1)
     if missing.any():
         at = np.flatnonzero(missing[corner_normal])
-        normal[missing] = _unit(sum_rows(corner_normal[at], _face_vectors(mesh, points, at),
-                                      len(normal)))[missing]  # fmt: skip
+        area = area_vectors(mesh.face_sizes, points[mesh.corner_vertex])[0]
+        mean = unit(sum_rows(corner_normal[at], area[mesh.corner_face[at]], len(normal)))
+        normal[missing] = mean[missing]
         normal[missing & ~np.any(normal, axis=1)] = (0.0, 0.0, 1.0)
-    return CornerNormals(normal, corner_normal)
+    return CornerRows(normal, corner_normal)
 
 
-def _face_vectors(mesh: Topology, points: FloatArray, corners: IndexArray) -> FloatArray:
-    """Return the area vectors of the faces of some corners, shape [n, 3]."""
-    faces = np.unique(mesh.corner_face[corners])
-    mine = np.isin(mesh.corner_face, faces)
-    own = np.flatnonzero(mine)
-    origin = points[mesh.corner_vertex[mesh.face_start[mesh.corner_face[own]]]]
-    terms = np.cross(
-        points[mesh.corner_vertex[own]] - origin,
-        points[mesh.corner_vertex[mesh.corner_next[own]]] - origin,
-    )
-    vectors = sum_rows(mesh.corner_face[own], terms, mesh.face_count)
-    return vectors[mesh.corner_face[corners]]
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
+def unit(vectors: FloatArray) -> FloatArray:
     """Return vectors of length 1, and of length 0 where they vanish."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
+    length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))[:, None]
+    units: FloatArray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
+    return units

@@ -21,6 +21,21 @@ BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class CornerRows:
+    """Values on corners, many of which share one."""
+
+    rows: FloatArray
+    """Distinct values, shape [row_count, k]."""
+
+    index: IndexArray
+    """Row of each corner, shape [corner_count]."""
+
+    def at(self, corners: IndexArray) -> NDArray[np.float32]:
+        """Return the values of some corners, shape [*corners.shape, k]."""
+        return self.rows.astype(np.float32)[self.index[corners]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Topology:
     """Faces, and how they meet along edges."""
 

@@ -6,21 +6,14 @@ UsdPrimvarReader and UsdTransform2d.
 
 from __future__ import annotations
 
-import math
-from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-
-from usdskin.errors import LayerError
-from usdskin.layers import describe
 from usdskin.notes import Note
-from usdskin.render.inputs import Color, Four, Input, PrimvarInput, TextureInput
+from usdskin.render.connections import Network, is_node_output, shader_name
+from usdskin.render.inputs import Color, Input
+from usdskin.render.texture_nodes import READERS, read_primvar_node, read_texture_node
 
 # isort: split
 # After ours, which register the schemas.
-from pxr import Gf, Sdf, Usd, UsdShade
+from pxr import Gf, Usd, UsdShade
 
 FALLBACKS: dict[str, float | str | Color] = {
     "diffuseColor": (0.18, 0.18, 0.18),
@@ -38,14 +31,6 @@ FALLBACKS: dict[str, float | str | Color] = {
 }
 """Fallbacks of UsdPreviewSurface."""
 
-_READERS = {
-    f"UsdPrimvarReader_{kind}": width
-    for kind, width in (
-        ("float", 1), ("float2", 2), ("float3", 3), ("float4", 4), ("int", 1),
-        ("normal", 3), ("point", 3), ("vector", 3),
-    )
-}  # fmt: skip
-"""Primvar readers a color or a number can come from, and the width of their fallback."""
 
 def surface_of(reader: NetworkReader, prim: Usd.Prim) -> UsdShade.Shader | None:
     """Return the UsdPreviewSurface of a Material, or None, with a note, where it has none."""
@@ -72,8 +57,18 @@ def surface_of(reader: NetworkReader, prim: Usd.Prim) -> UsdShade.Shader | None:
     return None
 
 
-class NetworkReader:
-    """Reads the inputs of shaders at one moment."""
+class NetworkReader(Network):
+    """Reads the inputs of UsdPreviewSurfaces at one moment."""
+
+    def __init__(
+        self,
+        stage: Usd.Stage,
+        time: Usd.TimeCode | float,
+        notes: list[Note],
+        color_space: str = "lin_rec709_scene",
+    ) -> None:
+        super().__init__(stage, time, notes)
+        self.color_space = color_space
 
     def note_outputs(self, material: UsdShade.Material) -> None:
         """Note what a material has besides a surface."""
@@ -118,7 +113,7 @@ class NetworkReader:
         if source is None:
             return fallback
         if is_node_output(source):
-            node = self._node(shader, name, source, "rgb", 3)
+            node = self._node(shader, name, source, 3)
             if node is not None:
                 return node
             source = shader.GetInput(name).GetAttr()
@@ -154,7 +149,7 @@ class NetworkReader:
         """
         source = self.source(shader, name)
         if source is not None and is_node_output(source):
-            node = self._node(shader, name, source, "r", 1)
+            node = self._node(shader, name, source, 1)
             if node is not None:
                 return node
         return self.constant(shader, name, 0.0, 1.0)
@@ -183,16 +178,15 @@ class NetworkReader:
         return int(self.constant(shader, name, 0.0, 1.0))
 
     def _node(
-        self, shader: UsdShade.Shader, name: str, source: Usd.Attribute, channel: str, width: int
+        self, shader: UsdShade.Shader, name: str, source: Usd.Attribute, width: int
     ) -> Input | None:
         """Return the texture or primvar an input is connected to; None, with a note, for others."""
         node = UsdShade.Shader(source.GetPrim())
         identifier = node.GetShaderId()
         if identifier == "UsdUVTexture":
-            return self._texture(node, source, channel)
-        if identifier in _READERS:
-            return self._primvar(node, _READERS[identifier], width)
+            return read_texture_node(self, node, source, width)
+        if READERS.get(identifier, 0) in (1, width, width + 1):
+            return read_primvar_node(self, node, width)
         what = f"inputs:{name} comes from a shader {shader_name(node)}; its own value is shown"
         self.note("shader-not-supported", shader.GetPrim(), what)
         return None
-

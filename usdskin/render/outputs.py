@@ -179,7 +179,9 @@ def _data_part(
         face = data["face"]
         ids = np.zeros(face.shape, np.uint32)
         ids[face >= 0] = scene.face_prim[face[face >= 0]] + 1
-        names = {"usdskin/primIds": "\n".join(f"{k + 1} {p}" for k, p in enumerate(shot.prim_paths))}
+        names = {
+            "usdskin/primIds": "\n".join(f"{k + 1} {p}" for k, p in enumerate(shot.prim_paths))
+        }
         return Part(name, {"primId": ids}, names, "uint")
     raise ValueError(f"unknown data part {source!r}")
 

@@ -9,10 +9,6 @@ from __future__ import annotations
 import time as clock
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from usdskin.colorimetry import xyz_weights
 from usdskin.errors import FramesError, UsdSkinError
 from usdskin.frames import frame_path
 from usdskin.layers import open_stage
@@ -25,7 +21,7 @@ from usdskin.render.light_maps import LightField
 from usdskin.render.outputs import Shot, write_picture
 from usdskin.render.overrides import RenderOverrides, apply_overrides
 from usdskin.render.products import Product
-from usdskin.render.scene import Scene, read_scene, upload
+from usdskin.render.scene import Scene, mean_white, read_scene, upload
 from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
 
 # isort: split
@@ -91,7 +87,9 @@ def _render_frame(
     begun = _lap(seconds, "read", begun)
     # Straight alpha needs the dome hidden, and every EXR has alpha.
     show_dome = job.settings.dome == "show"
-    device_scene, light = upload(scene, workers, show_dome=show_dome)
+    device_scene, light = upload(
+        scene, workers, show_dome=show_dome, brute=job.settings.spectral_method == "brute"
+    )
     _lap(seconds, "bake", begun)
     for product, files in wanted:
         _render_product(
@@ -162,7 +160,7 @@ def _render_product(
         job.digest(product),
         tuple(mesh.path for mesh in scene.meshes),
         scene.lights.absolute,
-        scene_white(scene),
+        mean_white(scene.lights, scene.frame),
     )
     report.paths.extend(
         write_picture(product, files, picture, data, device_scene, camera, settings, shot)
@@ -174,22 +172,3 @@ def _lap(seconds: dict[str, float], part: str, begun: float) -> float:
     now = clock.perf_counter()
     seconds[part] = seconds.get(part, 0.0) + now - begun
     return now
-
-
-def scene_white(scene: Scene) -> NDArray[np.float64]:
-    """Return the XYZ of a perfect diffuser that sees all of the light alike.
-
-    The mean over the sphere: 1/pi times the quarter of the total flux that a diffuser receives on
-    average over its orientations.
-    """
-    weights = xyz_weights(scene.frame.wavelength_nm, scene.frame.observer, scene.frame.absolute)  # type: ignore[arg-type]
-    total = np.zeros(3)
-    for dome in scene.lights.domes:
-        height = dome.coefficients.shape[0]
-        polar = np.pi * np.arange(height + 1) / height
-        area = (np.cos(polar[:-1]) - np.cos(polar[1:])) * 2.0 * np.pi
-        mean = dome.coefficients.mean(axis=1, dtype=np.float64)
-        total += (area @ mean) @ dome.basis @ weights
-    for distant in scene.lights.distants:
-        total += distant.irradiance @ weights
-    return np.asarray(total / (4.0 * np.pi))

@@ -12,14 +12,19 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from usdskin.colorimetry import xyz_weights
 from usdskin.errors import LayerError
-from usdskin.layers import describe
 from usdskin.notes import Note
 from usdskin.render.device import Workers
 from usdskin.render.gloss import LADDER, add_reflections, show_domes
 from usdskin.render.gprims import is_gprim, read_gprim, unsupported_note
 from usdskin.render.integrate import DeviceScene
-from usdskin.render.light_maps import LightField, build_light_field
+from usdskin.render.light_maps import (
+    LightField,
+    banded,
+    build_brute_field,
+    build_light_field,
+)
 from usdskin.render.lights import Lights, read_lights
 from usdskin.render.materials import (
     PrimvarInput,
@@ -32,7 +37,8 @@ from usdskin.render.materials import (
 )
 from usdskin.render.meshes import MeshArrays, read_mesh
 from usdskin.render.settings import RenderSettings
-from usdskin.render.surfaces import SpectralFrame, build_surfaces, gloss_alphas, wraps_of
+from usdskin.render.surface_rows import SpectralFrame, gloss_alphas, wraps_of
+from usdskin.render.surfaces import build_surfaces
 from usdskin.warp_kernels import structs
 
 # isort: split
@@ -110,9 +116,7 @@ def read_scene(
         to_world = np.array(cache.GetLocalToWorldTransform(prim)).T
         to_world[:3] *= scale
         reader = read_mesh if prim.IsA(UsdGeom.Mesh) else read_gprim
-        mesh = reader(
-            prim, time, to_world, settings.subdivision_level, names, material_of, notes
-        )
+        mesh = reader(prim, time, to_world, settings.subdivision_level, names, material_of, notes)
         if mesh is not None and len(mesh.triangles):
             meshes.append(mesh)
     frame = SpectralFrame(
@@ -162,15 +166,29 @@ def _bound_paths(prims: list[Usd.Prim], material_of: object) -> list[str]:
     return list(found)
 
 
-def upload(scene: Scene, workers: Workers, *, show_dome: bool) -> tuple[DeviceScene, LightField]:
-    """Bake the lights, build the material tables and copy the geometry to the device."""
+def upload(
+    scene: Scene, workers: Workers, *, show_dome: bool, brute: bool = False
+) -> tuple[DeviceScene, LightField]:
+    """Bake the lights, build the material tables and copy the geometry to the device.
+
+    Args:
+        scene: The scene.
+        workers: Where to.
+        show_dome: Whether the camera sees the domes.
+        brute: Shade every band from every texel, without factorisation and maps, as the oracle.
+    """
     device = workers.device
     wraps = wraps_of(scene.materials)
     bands = len(scene.frame.wavelength_nm)
-    light = build_light_field(scene.lights, wraps, workers, bands)
+    lights = scene.lights
+    if brute:
+        light = build_brute_field(lights, wraps, workers, bands)
+        lights = banded(lights)
+    else:
+        light = build_light_field(lights, wraps, workers, bands)
     alphas = gloss_alphas(scene.materials, LADDER)
-    add_reflections(light.device_lights, scene.lights, light.environments, alphas, workers)
-    show_domes(light.device_lights, scene.lights, show_dome, device)
+    add_reflections(light.device_lights, lights, light.reflected_blocks, alphas, workers)
+    show_domes(light.device_lights, lights, show_dome, device)
     rows = {name: k for k, name in enumerate(sorted(_primvar_names(scene)))}
     surfaces = build_surfaces(
         scene.materials,
@@ -280,3 +298,17 @@ def _corner_values(
     return result.reshape(-1, 4)
 
 
+def mean_white(lights: Lights, frame: SpectralFrame) -> NDArray[np.float64]:
+    """Return the XYZ of a perfect diffuser, averaged over all its orientations, shape [3].
+
+    It receives a quarter of the total flux over the sphere and reflects 1/pi of that.
+    """
+    weights = xyz_weights(frame.wavelength_nm, frame.observer, frame.absolute)
+    total = np.zeros(3)
+    for dome in lights.domes:
+        polar = np.pi * np.arange(dome.coefficients.shape[0] + 1) / dome.coefficients.shape[0]
+        area = 2.0 * np.pi * (np.cos(polar[:-1]) - np.cos(polar[1:]))
+        total += area @ dome.coefficients.mean(axis=1, dtype=np.float64) @ dome.basis @ weights
+    for distant in lights.distants:
+        total += distant.irradiance @ weights
+    return np.asarray(total / (4.0 * np.pi))

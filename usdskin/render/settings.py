@@ -222,9 +222,9 @@ def read_settings(stage: Usd.Stage, overrides: RenderOverrides) -> RenderSetting
     """
     prim = _settings_prim(stage, overrides.settings)
     if prim is None:
-        return _read_settings((), overrides)
+        return _read_settings(stage, (), overrides)
     read_render_settings_api(prim, Usd.TimeCode.EarliestTime())  # refuses what is misspelt
-    return _read_settings((prim,), overrides)
+    return _read_settings(stage, (prim,), overrides)
 
 
 def _settings_prim(stage: Usd.Stage, requested: str | None) -> Usd.Prim | None:
@@ -292,12 +292,13 @@ def _color_space(value: Any) -> str:
     return name
 
 
-def _mask(paths: Sequence[str] | None) -> tuple[str, ...] | None:
+def _mask(stage: Usd.Stage, paths: Sequence[str] | None) -> tuple[str, ...] | None:
     if paths is None:
         return None
     for path in paths:
-        if not (Sdf.Path.IsValidPathString(path) and Sdf.Path(path).IsAbsoluteRootOrPrimPath()):
-            raise UsageError(f"--mask {path}: this is no path of a prim, such as /World/Head.")
+        valid = path.startswith("/") and Sdf.Path.IsValidPathString(path)
+        if not (valid and Sdf.Path(path).IsAbsoluteRootOrPrimPath() and stage.GetPrimAtPath(path)):
+            raise UsageError(f"--mask {path}: the stage has no such prim; give its path.")
     return tuple(str(Sdf.Path(path)) for path in paths)
 
 
@@ -335,7 +336,9 @@ _OPINIONS = {
 }
 
 
-def _read_settings(prims: Sequence[Usd.Prim], given: RenderOverrides) -> RenderSettings:
+def _read_settings(
+    stage: Usd.Stage, prims: Sequence[Usd.Prim], given: RenderOverrides
+) -> RenderSettings:
     values = {
         name: choose(
             prims,
@@ -351,7 +354,7 @@ def _read_settings(prims: Sequence[Usd.Prim], given: RenderOverrides) -> RenderS
         **values,
         prim_path=str(prims[0].GetPath()) if prims else None,
         spectral_method=given.spectral_method or "factorised",
-        mask=_mask(given.mask),
+        mask=_mask(stage, given.mask),
         illuminant=given.illuminant or "D65",
         bad_pixels=given.bad_pixels or "error",
         ev="auto" if given.ev is None else given.ev,

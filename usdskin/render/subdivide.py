@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdskin.render.mesh_channels import Channel
-from usdskin.render.mesh_limit import CornerNormals, limit_surface, limit_values
+from usdskin.render.mesh_limit import limit_surface, limit_values
 from usdskin.render.mesh_net import (
     Net,
     crease_sums,
@@ -23,6 +23,7 @@ from usdskin.render.mesh_net import (
     vertex_rules,
 )
 from usdskin.render.mesh_topology import (
+    CornerRows,
     FloatArray,
     IndexArray,
     Topology,
@@ -48,14 +49,14 @@ class Refined:
     vertex: FloatArray
     """Vertex data, positions in the first three columns, shape [vertex_count, k]."""
 
-    normals: CornerNormals
+    normals: CornerRows
     """Unit normals of the limit surface at the corners."""
 
     varying: FloatArray
     """Linearly interpolated vertex data, shape [vertex_count, m]."""
 
-    face_varying: tuple[FloatArray, ...]
-    """Corner data of each channel, shapes [corner_count, k]."""
+    face_varying: tuple[CornerRows, ...]
+    """Corner data of each channel."""
 
 
 def subdivide(
@@ -92,19 +93,19 @@ def subdivide(
     return Refined(current.topology, control_face, values, normals, varying, channels)
 
 
-def _subdivide_channel(net: Net, channel: Channel, level: int) -> FloatArray:
+def _subdivide_channel(net: Net, channel: Channel, level: int) -> CornerRows:
     """Return a face-varying channel's values at the corners of the refined mesh."""
     if channel.net is None:
         topology, values, quads = net.topology, channel.values, net.scheme != "loop"
         for _ in range(level):
             values = refine_corners_linearly(topology, values, quads)
             topology = refine_to_quads(topology) if quads else refine_to_triangles(topology)
-        return values
+        return CornerRows(values, np.arange(len(values)))
     current, values = channel.net, channel.values
     for _ in range(level):
         values = refine_values(current, values)
         current = refine(current)
-    return limit_values(current, values)[current.topology.corner_vertex]
+    return CornerRows(limit_values(current, values), current.topology.corner_vertex)
 
 
 def refine(net: Net) -> Net:

@@ -166,7 +166,7 @@ def _without_negatives(
     """Return a factorisation in which the spectra of some rows are cut off at 0."""
     spectra = rows[at].astype(np.float64) @ basis
     missing = np.maximum(-spectra, 0.0)
-    added, shapes = factorize(missing.astype(np.float32), np.maximum(spectra, 0.0).max(axis=1))
+    added, shapes = factorize(missing.astype(np.float32), np.abs(spectra).max(axis=1))
     rank, band_count = basis.shape
     if rank + shapes.shape[0] >= band_count:
         full = np.empty((rows.shape[0], band_count), dtype=np.float32)
@@ -209,7 +209,8 @@ def factorize(
     eigenvalues, eigenvectors = np.linalg.eigh(gram)
     vectors = eigenvectors[:, ::-1]
     # A direction whose rms amplitude is below a tenth of the bound can hardly break it.
-    strong = eigenvalues[::-1] > count * (0.1 * RESIDUAL) ** 2
+    noise = band_count * np.finfo(np.float64).eps * float(eigenvalues[-1])
+    strong = eigenvalues > max(count * (0.1 * RESIDUAL) ** 2, noise)
     rank = max(int(np.count_nonzero(strong)), 1)
     while rank < band_count:
         basis = vectors[:, :rank]

@@ -10,55 +10,86 @@ from numpy.typing import NDArray
 from usdskin.errors import LayerError
 from usdskin.layers import describe
 from usdskin.render.connections import Network, is_node_output, shader_name
-from usdskin.render.inputs import Four, Input, PrimvarInput, TextureInput
+from usdskin.render.inputs import Color, Four, Input, PrimvarInput, TextureInput
 
 # isort: split
 # After ours, which register the schemas.
-from pxr import Sdf, Usd, UsdShade
+from pxr import Gf, Sdf, Usd, UsdShade
 
-_CHANNELS = ("rgb", "r", "g", "b", "a")
+READERS = {
+    "UsdPrimvarReader_float": 1,
+    "UsdPrimvarReader_int": 1,
+    "UsdPrimvarReader_float2": 2,
+    "UsdPrimvarReader_float3": 3,
+    "UsdPrimvarReader_normal": 3,
+    "UsdPrimvarReader_point": 3,
+    "UsdPrimvarReader_vector": 3,
+    "UsdPrimvarReader_float4": 4,
+}
+"""Nodes that read a primvar of numbers, and how many."""
+
+_OUTPUTS = ("rgb", "r", "g", "b", "a")
 _WRAPS = ("black", "clamp", "repeat", "mirror", "useMetadata")
-_COLOR_SPACES = ("raw", "sRGB", "auto")
-_TEXTURE_SPACES = {
-    "": "auto", "auto": "auto", "raw": "raw", "data": "raw", "identity": "raw", "unknown": "auto",
-    "lin_rec709_scene": "raw", "linear": "raw",
-    "sRGB": "sRGB", "srgb_rec709_scene": "sRGB", "srgb_texture": "sRGB",
-    "srgb_rec709_display": "sRGB",
-}  # fmt: skip
-"""``sourceColorSpace`` for the color space a texture's asset attribute may name."""
+_ENCODINGS = ("raw", "sRGB", "auto")
+_RAW = ("raw", "data", "identity")
 
 _CHAIN_LIMIT = 64
 """Most UsdTransform2d nodes in a row."""
 
 
-def read_primvar_node(network: Network, node: UsdShade.Shader, width: int, wanted: int) -> PrimvarInput | None:
+def read_primvar_node(network: Network, node: UsdShade.Shader, width: int) -> PrimvarInput | None:
+    """Return what a UsdPrimvarReader reads; None, with a note, where it names no primvar.
+
+    Args:
+        network: The stage's shaders.
+        node: The reader.
+        width: Numbers that are asked for, of which the reader may give more, or one for all.
+    """
     name = network.token(node, "varname", "", ()).removeprefix("primvars:")
     if not name:
         network.note("primvar-without-name", node.GetPrim(), "inputs:varname is empty; not shown")
         return None
+    own_width = READERS[str(node.GetShaderId())]
     source = network.source(node, "fallback")
-    fallback = (0.0,) * width if source is None else network.numbers(source, width)
-    return PrimvarInput(name, fallback[:wanted] if wanted > 1 else fallback[:1])
+    held = source is not None and not is_node_output(source)
+    fallback = network.numbers(source, own_width) if held else (0.0,) * own_width
+    return PrimvarInput(name, (fallback * width if own_width == 1 else fallback)[:width])
 
 
-def read_texture_node(network: Network, node: UsdShade.Shader, source: Usd.Attribute, channel: str) -> Input:
-    output = source.GetName().removeprefix("outputs:")
-    if output == "rgba" or (output == "rgb" and channel == "r"):
-        output = "rgb" if channel == "rgb" else "r"
-    if output not in _CHANNELS:
+def read_texture_node(
+    network: Network, node: UsdShade.Shader, output: Usd.Attribute, width: int
+) -> Input:
+    """Return what comes out of a UsdUVTexture.
+
+    Args:
+        network: The stage's shaders.
+        node: The texture.
+        output: The output that is asked for.
+        width: 3 for a color, 1 for a number, which takes the red of a color.
+
+    Raises:
+        LayerError: The picture is missing, or an input of the node cannot be used.
+    """
+    name = output.GetName().removeprefix("outputs:")
+    # Houdini connects to a fifth output that the specification lacks.
+    channel = "rgb" if name == "rgba" else name
+    if channel not in _OUTPUTS:
         raise LayerError(
-            f"{describe(node.GetPrim())}: {source.GetName()} is no output of a UsdUVTexture; "
-            f"connect to one of {', '.join(_CHANNELS)}"
+            f"{describe(node.GetPrim())}: {output.GetName()} is no output of a UsdUVTexture; "
+            f"connect to one of {', '.join(_OUTPUTS)}"
         )
+    if width == 1 and channel == "rgb":
+        network.note("color-taken-as-number", node.GetPrim(), "a number takes the red of rgb")
+        channel = "r"
     fallback = _four(network, node, "fallback", (0.0, 0.0, 0.0, 1.0))
     file, encoding = _file(network, node)
     if file is None:
         network.note("texture-without-file", node.GetPrim(), "no file; its fallback is shown")
-        return fallback[:3] if output == "rgb" else fallback["rgba".index(output)]
+        return _constant(fallback, channel, width)
     primvar, matrix = _coordinates(network, node)
     return TextureInput(
         file=file,
-        channel=output,
+        channel=channel,
         source_color_space=encoding,
         scale=_four(network, node, "scale", (1.0, 1.0, 1.0, 1.0)),
         bias=_four(network, node, "bias", (0.0, 0.0, 0.0, 0.0)),
@@ -70,6 +101,13 @@ def read_texture_node(network: Network, node: UsdShade.Shader, source: Usd.Attri
     )
 
 
+def _constant(values: Four, channel: str, width: int) -> float | Color:
+    if channel == "rgb":
+        return values[:3]
+    value = values["rgba".index(channel)]
+    return value if width == 1 else (value, value, value)
+
+
 def _four(network: Network, node: UsdShade.Shader, name: str, fallback: Four) -> Four:
     source = network.source(node, name)
     if source is None or is_node_output(source):
@@ -78,19 +116,22 @@ def _four(network: Network, node: UsdShade.Shader, name: str, fallback: Four) ->
     return red, green, blue, alpha
 
 
-def _file(network: Network, node: UsdShade.Shader) -> tuple[Path | None, str]:
-    """Return a texture's file and its ``sourceColorSpace``."""
+def _file(network: Network, node: UsdShade.Shader) -> tuple[str | None, str]:
+    """Return a texture's file and how it is encoded."""
     source = network.source(node, "file")
     asset = None if source is None or is_node_output(source) else network.value(source)
-    encoding = network.token(node, "sourceColorSpace", "auto", _COLOR_SPACES)
-    if source is None or asset is None or not getattr(asset, "path", ""):
+    encoding = network.token(node, "sourceColorSpace", "auto", _ENCODINGS)
+    if source is None or not isinstance(asset, Sdf.AssetPath) or not asset.path:
         return None, encoding
-    if encoding == "auto":
-        named = str(source.GetColorSpace())
-        if named not in _TEXTURE_SPACES:
+    named = str(source.GetColorSpace())
+    if encoding == "auto" and named:
+        if named in _RAW or named in _ENCODINGS:
+            encoding = "raw" if named in _RAW else named
+        elif Gf.ColorSpace.IsValid(named):
+            encoding = named
+        else:
             what = f"the color space {named} is not known; taken as auto"
             network.note("color-space-not-supported", node.GetPrim(), what)
-        encoding = _TEXTURE_SPACES.get(named, "auto")
     return _resolve(source, asset), encoding
 
 
@@ -105,10 +146,9 @@ def _coordinates(network: Network, node: UsdShade.Shader) -> tuple[str, NDArray[
         node = UsdShade.Shader(source.GetPrim())
         identifier = node.GetShaderId()
         if identifier == "UsdPrimvarReader_float2":
-            found = read_primvar_node(network, node, 2, 2)
-            return (
-                (found.name, matrix[:2]) if found else ("st", _fixed(network, node, None, matrix))
-            )
+            found = read_primvar_node(network, node, 2)
+            name = found.name if found else "st"
+            return name, matrix[:2] if found else _fixed(network, node, None, matrix)
         if identifier != "UsdTransform2d":
             what = f"texture coordinates come from a shader {shader_name(node)}; st is shown"
             network.note("shader-not-supported", node.GetPrim(), what)
@@ -122,9 +162,12 @@ def _coordinates(network: Network, node: UsdShade.Shader) -> tuple[str, NDArray[
 
 
 def _fixed(
-    network: Network, node: UsdShade.Shader, source: Usd.Attribute | None, matrix: NDArray[np.float64]
+    network: Network,
+    node: UsdShade.Shader,
+    source: Usd.Attribute | None,
+    matrix: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the map that gives one texel everywhere, as UsdUVTexture says of unconnected st."""
+    """Return the map to one texel for all, as UsdUVTexture says of coordinates not connected."""
     what = "texture coordinates are not connected; one texel is shown everywhere"
     network.note("texture-without-st", node.GetPrim(), what)
     s, t = (0.0, 0.0) if source is None else network.numbers(source, 2)
@@ -152,15 +195,13 @@ def _transform(network: Network, node: UsdShade.Shader) -> NDArray[np.float64]:
     return matrix
 
 
-def _resolve(attribute: Usd.Attribute, asset: Sdf.AssetPath) -> Path:
+def _resolve(attribute: Usd.Attribute, asset: Sdf.AssetPath) -> str:
     if asset.resolvedPath:
-        return Path(asset.resolvedPath)
+        return str(asset.resolvedPath)
     layer = attribute.GetPropertyStack()[0].layer
     if "<UDIM>" in asset.path and UsdShade.UdimUtils.ResolveUdimTilePaths(asset.path, layer):
-        return Path(layer.ComputeAbsolutePath(asset.path))
+        return str(layer.ComputeAbsolutePath(asset.path))
     raise LayerError(
         f"{describe(attribute)}: {attribute.GetName()} names @{asset.path}@, which is not there; "
         "restore it or correct the path"
     )
-
-

@@ -251,13 +251,14 @@ def _check_settings(path: str, source_color_space: str, wraps: dict[str, str]) -
 
 
 def _check_finite(path: str, pixels: FloatArray) -> None:
+    if np.isfinite(pixels.min()) and np.isfinite(pixels.max()):  # NaN comes through both
+        return
     bad = ~np.isfinite(pixels).all(axis=2)
-    if bad.any():
-        row, column = np.argwhere(bad)[0]
-        raise ImageError(
-            f"{path}: {int(bad.sum())} pixels are not finite, the first in column {column}, row "
-            f"{row}; a texture must be finite."
-        )
+    row, column = np.argwhere(bad)[0]
+    raise ImageError(
+        f"{path}: {int(bad.sum())} pixels are not finite, the first in column {column}, row "
+        f"{row}; a texture must be finite."
+    )
 
 
 def _rgba(path: str, image: Image, channels: tuple[int, ...] | None) -> FloatArray:
@@ -276,7 +277,8 @@ def _rgba(path: str, image: Image, channels: tuple[int, ...] | None) -> FloatArr
         rgba[..., :3] = image.pixels[..., colors[0], np.newaxis]
     else:
         named = [names.index(name) for name in "RGB" if name in names]
-        rgba[..., :3] = image.pixels[..., named if len(named) == 3 else colors[:3]]
+        for target, source in enumerate(named if len(named) == 3 else colors[:3]):
+            rgba[..., target] = image.pixels[..., source]
     return rgba
 
 
@@ -289,7 +291,9 @@ def _to_linear(
         return
     if source == "srgb_rec709_scene" and image.sample_type == "uint8":
         table = decode_srgb(np.arange(256, dtype=np.float32) / np.float32(255.0))
-        rgba[..., :3] = table[np.rint(rgba[..., :3] * 255.0).astype(np.uint8)]
+        for channel in range(3):
+            codes = (rgba[..., channel] * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
+            rgba[..., channel] = table[codes]
     elif linear_color_space(source) != source:
         rgba[..., :3] = linearize(rgba[..., :3], source)
     linear = linear_color_space(source)

@@ -1,0 +1,297 @@
+"""The light a picture reads at a normal, against dense float64 quadrature that shares no code.
+
+The oracle knows only DESIGN section 2: a texel of a latlong map is a constant patch of the sphere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+from numpy.typing import NDArray
+
+from usdskin.render.device import Workers, open_workers
+from usdskin.render.environment import build_environment
+from usdskin.render.light_maps import (
+    MAP_ERROR_TARGET,
+    LightField,
+    build_light_field,
+    integrate_normals,
+    to_device,
+)
+from usdskin.render.lights import DomeLight, Lights
+from usdskin.render.texels import factorize
+from usdskin.warp_kernels import structs
+from usdskin.warp_kernels.lookup import latlong_coordinates
+from usdskin.warp_kernels.skin import diffuse_light
+
+FloatArray = NDArray[np.float64]
+
+WRAPS = (0.0, 0.3, 0.7, 1.0)
+BOUND = 1.0e-3
+"""Of the peak over all normals: DESIGN section 7."""
+
+TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
+"""A rotation that no axis survives."""
+
+
+# --- The oracle --------------------------------------------------------------------------------
+
+
+def directions(azimuth: FloatArray, polar: FloatArray) -> FloatArray:
+    """UsdLux: u = 0.5 is +Z, u = 0.25 is +X, v = 0 is +Y; azimuth = 2 pi u."""
+    return np.stack(
+        [np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)], -1
+    )
+
+
+class Oracle:
+    """Integrals over the texels of a latlong map, in float64.
+
+    On either side of its kink the kernel is linear in N.L, so a texel counts with Int dL and
+    Int L dL (Gauss-Legendre); a texel that the kink may cross is split into equal-area parts.
+    """
+
+    def __init__(self, values: NDArray, to_world: FloatArray, parts: int = 24):
+        self.values = values.astype(np.float64)
+        self.to_world = to_world
+        self.parts = parts
+        height, width = values.shape[:2]
+        x, w = np.polynomial.legendre.leggauss(6)
+        step_polar, step = np.pi / height, 2.0 * np.pi / width
+        polar = step_polar * (np.arange(height)[:, None] + 0.5 + 0.5 * x)
+        azimuth = step * (np.arange(width)[:, None] + 0.5 + 0.5 * x)
+        row = 0.5 * step_polar * w * np.sin(polar)  # [height, 6]
+        column = np.broadcast_to(0.5 * step * w, azimuth.shape)
+        self.solid_angle = row.sum(1)[:, None] * np.full(width, step)
+        sine, cosine = (row * np.sin(polar)).sum(1), (row * np.cos(polar)).sum(1)
+        along, across = (column * np.sin(azimuth)).sum(1), (column * np.cos(azimuth)).sum(1)
+        self.moment = np.stack(
+            [
+                sine[:, None] * along,
+                cosine[:, None] * np.full(width, step),
+                -sine[:, None] * across,
+            ],
+            axis=-1,
+        )
+        self.reach = 0.5 * np.hypot(step_polar, step) * 1.01
+
+    def integrate(self, normals: NDArray, wrap: float, step: bool = False) -> FloatArray:
+        """Int max((N.L + l)/(1 + l), 0) c dL, or Int_{N.L > 0} c dL; shape [count, r]."""
+        local = normals.astype(np.float64) @ self.to_world
+        height, width, channels = self.values.shape
+        total = np.zeros((len(local), channels))
+        rows = max(1, 1_500_000 // (width * len(local)))
+        for top in range(0, height, rows):
+            here = slice(top, min(top + rows, height))
+            moment = self.moment[here].reshape(-1, 3)
+            area = self.solid_angle[here].reshape(-1)
+            x = moment @ local.T / area[:, None]
+            side = (x > -wrap) * area[:, None]
+            kernel = side if step else side * ((x + wrap) / (1.0 + wrap))
+            texel, normal = np.nonzero(np.abs(x + wrap) < self.reach)
+            if len(texel):
+                kernel[texel, normal] = area[texel] * self._split(
+                    top + texel // width, texel % width, local[normal], wrap, step
+                )
+            total += kernel.T @ self.values[here].reshape(-1, channels)
+        return total
+
+    def _split(
+        self, i: NDArray, j: NDArray, normal: FloatArray, wrap: float, step: bool
+    ) -> FloatArray:
+        height, width = self.values.shape[:2]
+        part = (np.arange(self.parts) + 0.5) / self.parts
+        top, bottom = np.cos(np.pi * i / height), np.cos(np.pi * (i + 1) / height)
+        polar = np.arccos(np.clip(top[:, None] + (bottom - top)[:, None] * part, -1.0, 1.0))
+        azimuth = 2.0 * np.pi * (j[:, None] + part) / width
+        n = normal[:, :, None]
+        level = np.cos(polar) * n[:, 1]
+        around = np.sin(azimuth) * n[:, 0] - np.cos(azimuth) * n[:, 2]
+        x = level[:, :, None] + np.sin(polar)[:, :, None] * around[:, None, :]
+        if step:
+            return np.mean(x > -wrap, axis=(1, 2))
+        return np.mean(np.maximum((x + wrap) / (1.0 + wrap), 0.0), axis=(1, 2))
+
+
+def test_the_oracle_knows_the_closed_forms():
+    normals = random_normals(6, 3)
+    white = Oracle(np.ones((16, 32, 1)), TURN)
+    for wrap in WRAPS:
+        np.testing.assert_allclose(
+            white.integrate(normals, wrap), np.pi * (1.0 + wrap), rtol=2e-5
+        )
+    np.testing.assert_allclose(white.integrate(normals, 0.0, step=True), 2 * np.pi, rtol=1e-4)
+    upper = Oracle((np.arange(64) < 32)[:, None, None] * np.ones((64, 128, 1)), np.eye(3))
+    cosine = normals[:, 1:2]  # a half sphere's irradiance on a plane tilted from it
+    np.testing.assert_allclose(
+        upper.integrate(normals, 0.0), np.pi * (1.0 + cosine) / 2.0, rtol=2e-5
+    )
+
+
+# --- Environments ------------------------------------------------------------------------------
+
+
+def texel_directions(height: int) -> FloatArray:
+    polar, azimuth = np.meshgrid(
+        np.pi * (np.arange(height) + 0.5) / height,
+        np.pi * (np.arange(2 * height) + 0.5) / height,
+        indexing="ij",
+    )
+    return directions(azimuth, polar)
+
+
+def overcast_sky(height: int = 64) -> tuple[FloatArray, FloatArray]:
+    """The CIE overcast sky above dark ground."""
+    up = texel_directions(height)[..., 1]
+    luminance = np.where(up > 0.0, (1.0 + 2.0 * np.maximum(up, 0.0)) / 3.0, 0.08)
+    tint = np.where(up[..., None] > 0.0, [0.8, 1.0, 1.3], [1.2, 1.0, 0.7])
+    return luminance[..., None] * tint, np.array([0.0, 1.0, 0.0])
+
+
+def room_with_a_lamp(height: int = 128) -> tuple[FloatArray, FloatArray]:
+    """Walls, a ceiling, a floor, and one lamp of 2.8 by 5.6 degrees with three quarters of it."""
+    toward = texel_directions(height)
+    wall = np.abs(toward).argmax(axis=-1) * 2 + (
+        np.take_along_axis(toward, np.abs(toward).argmax(-1)[..., None], -1)[..., 0] > 0
+    )
+    paint = np.random.default_rng(4).uniform(0.05, 0.4, (6, 3))
+    room = paint[wall]
+    row, column = int(0.22 * height), int(0.6 * height)
+    room[row : row + 2, column : column + 4] = [900.0, 800.0, 650.0]
+    lamp = toward[row : row + 2, column : column + 4].mean((0, 1))
+    return room, lamp / np.linalg.norm(lamp)
+
+
+def sky_with_sun(height: int = 1024) -> tuple[FloatArray, FloatArray]:
+    """A disc of 0.5 degrees that holds 90 % of the flux; edge texels are covered in part."""
+    sky, _ = overcast_sky(height)
+    sun = np.array([0.52, 0.55, 0.653])
+    sun /= np.linalg.norm(sun)
+    i = int(np.arccos(sun[1]) / np.pi * height)
+    j = int((np.arctan2(sun[0], -sun[2]) / (2 * np.pi) % 1.0) * 2 * height)
+    reach = max(3, height // 256)
+    rows, columns = np.arange(i - reach, i + reach + 1), np.arange(j - reach, j + reach + 1)
+    sub = (np.arange(16) + 0.5) / 16
+    polar, azimuth = np.meshgrid(
+        np.pi * (rows[:, None] + sub).ravel() / height,
+        np.pi * (columns[:, None] + sub).ravel() / height,
+        indexing="ij",
+    )
+    inside = directions(azimuth, polar) @ sun > np.cos(np.radians(0.25))
+    cover = inside.reshape(len(rows), 16, len(columns), 16).mean((1, 3))
+    area = Oracle(np.ones((height, 2 * height, 1)), np.eye(3)).solid_angle
+    block = np.ix_(rows, columns)
+    flux = (sky[..., 1] * area).sum()
+    sky[block] += 9.0 * flux / (cover * area[block]).sum() * cover[..., None] * [1.1, 1.0, 0.8]
+    return sky, sun
+
+
+def random_normals(count: int, seed: int) -> FloatArray:
+    normals = np.random.default_rng(seed).normal(size=(count, 3))
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def normals_at_kinks(lamp: FloatArray, wraps: tuple[float, ...], each: int) -> FloatArray:
+    """Normals within a degree of N.L = 0 and N.L = -l of a lamp."""
+    random = np.random.default_rng(7)
+    across = np.linalg.svd(lamp[None])[2][1:]
+    found = []
+    for kink in {0.0, *(-wrap for wrap in wraps)}:
+        angle = np.arccos(kink) + np.radians(random.uniform(-1.0, 1.0, each))
+        turn = random.uniform(0.0, 2.0 * np.pi, (each, 1))
+        around = np.cos(turn) * across[0] + np.sin(turn) * across[1]
+        found.append(np.cos(angle)[:, None] * lamp + np.sin(angle)[:, None] * around)
+    return np.concatenate(found)
+
+
+# --- What a picture reads ----------------------------------------------------------------------
+
+
+@wp.kernel(enable_backward=False)
+def _look_up_kernel(
+    lights: structs.Lights,
+    normal: wp.array[wp.vec3f],
+    wrap_set: wp.int32,
+    kernel: wp.int32,
+    light_out: wp.array2d[wp.vec4f],
+):
+    """Read J1, J2 or H as the picture kernels do. Launch dimension: [normal_count]."""
+    i = wp.tid()
+    n = normal[i]
+    for group in range(lights.group_count):
+        light_out[group, i] = diffuse_light(
+            lights, wrap_set, kernel, group, n, latlong_coordinates(n)
+        )
+
+
+def look_up(
+    field: LightField, normals: NDArray, wrap_set: int, kernel: int, device: str
+) -> FloatArray:
+    """J1 (kernel 0), J2 (1) or H (2) at normals, all groups' channels side by side."""
+    groups = field.device_lights.group_count
+    out = wp.zeros((groups, len(normals)), dtype=wp.vec4f, device=device)
+    given = wp.array(normals.astype(np.float32), dtype=wp.vec3f, device=device)
+    wp.launch(
+        _look_up_kernel,
+        dim=len(normals),
+        inputs=[field.device_lights, given, wrap_set, kernel],
+        outputs=[out],
+        device=device,
+    )
+    return out.numpy().astype(np.float64).transpose(1, 0, 2).reshape(len(normals), -1)
+
+
+@pytest.fixture(scope="module", params=["cpu", "cuda"])
+def workers(request: pytest.FixtureRequest) -> Workers:
+    wp.init()
+    if request.param == "cuda" and not wp.is_cuda_available():
+        pytest.skip("Warp finds no CUDA device")
+    return open_workers(request.param)
+
+
+def dome(coefficients: NDArray, basis: FloatArray | None = None) -> DomeLight:
+    rank = coefficients.shape[2]
+    basis = np.eye(rank) if basis is None else basis
+    return DomeLight("/dome", coefficients.astype(np.float32), basis, TURN, False)
+
+
+def as_stored(normals: FloatArray) -> FloatArray:
+    """The float32 normals a kernel is given, so that rounding them is no error of the map."""
+    return normals.astype(np.float32).astype(np.float64)
+
+
+Environment = Callable[[], tuple[FloatArray, FloatArray]]
+
+ENVIRONMENTS = [
+    pytest.param(overcast_sky, id="sky"),
+    pytest.param(room_with_a_lamp, id="room"),
+    pytest.param(sky_with_sun, id="sun", marks=pytest.mark.slow),
+    pytest.param(lambda: sky_with_sun(512), id="coarse sun"),
+]
+
+
+@pytest.mark.parametrize("environment", ENVIRONMENTS)
+def test_the_light_at_a_normal_is_the_integral_within_a_thousandth_of_the_peak(
+    environment: Environment, workers: Workers
+):
+    values, lamp = environment()
+    light = dome(values)
+    field = build_light_field(Lights((light,), ()), WRAPS, workers, values.shape[2])
+    normals = as_stored(
+        np.concatenate([random_normals(24, 1), normals_at_kinks(TURN @ lamp, WRAPS, 8)])
+    )
+    oracle = Oracle(light.coefficients, TURN)
+    peak_normal = (TURN @ lamp)[None]  # so that the peak is the real one
+    normals = np.concatenate([as_stored(peak_normal), normals])
+    lambert = oracle.integrate(normals, 0.0)
+    for index, wrap in enumerate(WRAPS):
+        wrapped = lambert if wrap == 0.0 else oracle.integrate(normals, wrap)
+        for kernel, exact in ((0, lambert), (1, wrapped)):
+            found = look_up(field, normals, index, kernel, workers.device)[:, : exact.shape[1]]
+            error = np.abs(found - exact).max(0) / exact.max(0)
+            assert error.max() <= BOUND, f"l = {wrap}, J{kernel + 1}: {error} of the peak"

@@ -1,0 +1,242 @@
+"""The lights of a stage, with their spectra on one wavelength grid.
+
+Reads: ``DomeLight``, ``DomeLight_1`` and ``DistantLight`` prims of UsdLux, plain (RGB) or with
+``SpectralLightAPI``. Other kinds of light are noted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pxr import Usd, UsdGeom, UsdLux
+
+from usdskin.colorimetry import DEFAULT_OBSERVER, Observer
+from usdskin.errors import LayerError
+from usdskin.layers import describe
+from usdskin.notes import Note
+from usdskin.render.domes import DomeLight, read_dome
+from usdskin.render.light_inputs import (
+    Context,
+    LightPrim,
+    constant_spectrum,
+    light_input,
+    number,
+    read_light_prim,
+    rgb_spectra,
+)
+from usdskin.render.texels import BadPixels
+from usdskin.spectrum import SpectralQuantity, check_grid
+from usdskin.uplift import deepest_dip
+
+__all__ = ["DistantLight", "DomeLight", "Lights", "read_lights"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DistantLight:
+    """Light from one direction, or from a small disc around it."""
+
+    path: str
+    """Prim path."""
+
+    direction: NDArray[np.float64]
+    """Unit vector towards the light, world space, shape [3]."""
+
+    angle_deg: float
+    """Angular diameter of the disc [deg]; 0 is perfectly parallel light."""
+
+    irradiance: NDArray[np.float64]
+    """On a surface that faces the light [W m^-2 nm^-1, or relative], shape [band_count]."""
+
+    absolute: bool
+    """Whether irradiance is in W m^-2 nm^-1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lights:
+    """All light of a stage that reaches the picture."""
+
+    domes: tuple[DomeLight, ...]
+    """Dome lights; their light adds up."""
+
+    distants: tuple[DistantLight, ...]
+    """Distant lights."""
+
+    @property
+    def absolute(self) -> bool:
+        """Whether the picture is in absolute units; false without a light."""
+        units = [dome.absolute for dome in self.domes]
+        return any(units + [distant.absolute for distant in self.distants])
+
+
+def read_lights(
+    stage: Usd.Stage,
+    time: Usd.TimeCode | float,
+    wavelength_nm: ArrayLike,
+    observer: Observer = DEFAULT_OBSERVER,
+    illuminant: str | None = None,
+    bad_pixels: BadPixels = "error",
+    notes: list[Note] | None = None,
+) -> Lights:
+    """Read the lights of a stage.
+
+    Args:
+        stage: The stage.
+        time: Time to read at.
+        wavelength_nm: Band centres [nm], strictly ascending, shape [band_count].
+        observer: Whose colour-matching functions relate spectra and RGB.
+        illuminant: Lamp, by name or file, that every RGB light is taken to be. It wins over what
+            the lights say; ``None`` leaves it to them, and D65 where they say nothing.
+        bad_pixels: Whether map pixels that are no light (negative, NaN, infinite) are refused, or
+            clamped with a note.
+        notes: Takes what cannot be honoured.
+
+    Returns:
+        Visible lights in the order of the stage; there may be none.
+
+    Raises:
+        LayerError: An opinion cannot be used, or absolute and relative lights are mixed.
+        ImageError: A map is missing, broken or of the wrong kind, or has bad pixels.
+        UsageError: ``illuminant`` cannot be used.
+    """
+    grid = np.array(wavelength_nm, dtype=np.float64)
+    check_grid(grid)
+    context = Context(
+        wavelength_nm=grid,
+        time=Usd.TimeCode(time),
+        observer=observer,
+        illuminant=illuminant,
+        bad_pixels=bad_pixels,
+        notes=[] if notes is None else notes,
+    )
+    cache = UsdGeom.XformCache(context.time)
+    domes: list[DomeLight] = []
+    distants: list[DistantLight] = []
+    read: list[LightPrim] = []
+    for prim in _light_prims(stage, context):
+        is_dome = prim.IsA(UsdLux.DomeLight) or prim.IsA(UsdLux.DomeLight_1)
+        light = read_light_prim(prim, context)
+        _refuse_mixed_units(light, read)
+        read.append(light)
+        to_world = np.array(cache.GetLocalToWorldTransform(prim)).T
+        if is_dome:
+            domes.append(read_dome(light, to_world, context))
+        else:
+            distants.append(_read_distant(light, to_world, context))
+    return Lights(tuple(domes), tuple(distants))
+
+
+def _light_prims(stage: Usd.Stage, context: Context) -> Iterator[Usd.Prim]:
+    """Yield the visible lights of the kinds that are rendered; note the others."""
+    prims = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
+    for prim in prims:
+        if prim.IsA(UsdGeom.PointInstancer):
+            prims.PruneChildren()
+            for below in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()):
+                if below.HasAPI(UsdLux.LightAPI):
+                    context.note(
+                        "light-not-supported",
+                        below,
+                        "a light in the prototypes of a point instancer; it does not shine",
+                    )
+            continue
+        if not prim.HasAPI(UsdLux.LightAPI):
+            continue
+        visibility = UsdGeom.Imageable(prim).ComputeVisibility(context.time)
+        if visibility == UsdGeom.Tokens.invisible:
+            continue
+        if prim.IsA(UsdLux.PortalLight):
+            context.note(
+                "light-not-supported",
+                prim,
+                "a portal, which guides sampling; the dome shines whole",
+            )
+        elif any(
+            prim.IsA(kind) for kind in (UsdLux.DomeLight, UsdLux.DomeLight_1, UsdLux.DistantLight)
+        ):
+            yield prim
+        else:
+            kind = str(prim.GetTypeName()) or "prim without a type"
+            context.note("light-not-supported", prim, f"a light of type {kind}; it does not shine")
+
+
+def _refuse_mixed_units(light: LightPrim, read: list[LightPrim]) -> None:
+    if read and read[0].is_absolute != light.is_absolute:
+        absolute, relative = (light, read[0]) if light.is_absolute else (read[0], light)
+        raise LayerError(
+            f"{describe(relative.prim)}: is relative, but <{absolute.path}> has absolute units; "
+            "author the same inputs:spectral:units on all lights (absolute RGB is in cd/m^2)"
+        )
+
+
+def _read_distant(
+    light: LightPrim, to_world: NDArray[np.float64], context: Context
+) -> DistantLight:
+    """Read a distant light, which shines along its -Z axis.
+
+    The light fills a disc of angular radius t (half of ``inputs:angle``) with radiance L. A
+    surface facing it receives
+
+        E = int_disc L cos d omega = L pi sin^2(t)      for t up to 90 degrees, L pi beyond;
+
+    ``inputs:normalize`` first divides L by the disc's sizeFactor (UsdLux, LightAPI):
+    ``pi sin^2(t)`` up to 90 degrees, ``pi (2 - sin^2(t))`` beyond, so that intensity is
+    illuminance. An angle of 0 is parallel light, for which sizeFactor is 1 whether normalised or
+    not: intensity is illuminance. A spectrum that is tabulated as irradiance is E itself.
+    """
+    source = "rgb" if light.shows_rgb else light.spectral.source
+    if source in ("basis", "bands"):
+        raise LayerError(
+            f"{describe(light.prim)}: inputs:spectral:source is {source}, a map, which a distant "
+            "light has not; use tabulated, or a DomeLight"
+        )
+    direction = to_world[:3, :3] @ np.array([0.0, 0.0, 1.0])
+    length = float(np.linalg.norm(direction))
+    if not (math.isfinite(length) and length > 0.0):
+        raise LayerError(
+            f"{describe(light.prim)}: its transform flattens its axis or is not finite; mend its "
+            "xformOps"
+        )
+    angle = min(max(number(light.prim, "angle", context), 0.0), 360.0)
+    if source == "rgb":
+        spectrum = rgb_spectra(light, "lin_rec709_scene", context).sum(axis=0)
+        depth, _, count = deepest_dip(np.ones((1, 1)), spectrum[None])
+        if count:
+            context.note(
+                "uplift-negative",
+                light.prim,
+                f"its spectrum dips below zero, by {-depth:.1%} of the peak; XYZ stays exact",
+            )
+    else:
+        spectrum = constant_spectrum(light, context)
+    emission = light.spectral.emission
+    is_irradiance = (
+        source == "tabulated"
+        and emission is not None
+        and emission.quantity is SpectralQuantity.IRRADIANCE
+    )
+    normalize = bool(light_input(light.prim, "normalize", context)[1])
+    factor = 1.0 if is_irradiance else _facing_factor(angle, normalize)
+    return DistantLight(
+        path=light.path,
+        direction=direction / length,
+        angle_deg=angle,
+        irradiance=spectrum * (factor * light.scale),
+        absolute=light.is_absolute,
+    )
+
+
+def _facing_factor(angle_deg: float, normalize: bool) -> float:
+    """Return the irradiance of a facing surface per radiance of the disc [sr]."""
+    half = math.radians(angle_deg) / 2.0
+    if half == 0.0:
+        return 1.0
+    projected = math.pi * math.sin(min(half, math.pi / 2.0)) ** 2
+    if not normalize:
+        return projected
+    if half <= math.pi / 2.0:
+        return 1.0
+    return projected / (math.pi * (2.0 - math.sin(half) ** 2))

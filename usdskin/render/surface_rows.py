@@ -1,0 +1,272 @@
+"""The spectra of materials: every product of a reflectance and a light channel is one row.
+
+Reads: a material with its wavelengths, and the spectra of the light's channels. Makes:
+``MaterialRows``. The kernels add up scalar weights of these rows, and the wavelengths appear once
+per pixel (DESIGN section 2, exact factorisation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdskin.colorimetry import Observer, illuminant, xyz_weights
+from usdskin.errors import LayerError
+from usdskin.render.inputs import Input, PrimvarInput, TextureInput
+from usdskin.render.materials import SkinMaterial, SurfaceMaterial
+from usdskin.spectrum import Spectrum, resample
+from usdskin.uplift import light_basis, reflectance_basis
+from usdskin.warp_kernels import structs
+
+FloatArray = NDArray[np.float64]
+
+THICKNESS_NODES = 24
+"""The most interpolation nodes of exp(-s delta) over the body's thickness."""
+
+THICKNESS_TOLERANCE = 1.0e-6
+
+PREVIEW, SKIN, DOME = 0, 1, 2
+"""``Materials.kind``."""
+
+SPECULAR_WORKFLOW, PRESENCE, GLOSSY, TINTED, EMISSIVE, CLEARCOAT = 1, 2, 4, 8, 16, 32
+"""``Materials.flags``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpectralFrame:
+    """What spectra are sampled on and looked at with."""
+
+    wavelength_nm: FloatArray
+    """Band centres [nm], shape [bands]."""
+
+    observer: Observer
+    absolute: bool
+    """Whether the lights are in W m^-2 sr^-1 nm^-1."""
+
+    color_space: str
+    """The rendering space, which RGB inputs are in."""
+
+
+@dataclass(slots=True, eq=False)
+class MaterialRows:
+    """One material: its rows of spectra, and where the weights of the rows come from."""
+
+    kind: int
+    bases: FloatArray
+    """Reflectances the base weights multiply, shape [base_count, bands]."""
+    rows: list[FloatArray] = field(default_factory=list)
+    """Spectra of four channels each, shape [4, bands]."""
+    wrap: float = 0.0
+    flags: int = 0
+    nodes: FloatArray = field(default_factory=lambda: np.zeros(0))
+    constant: FloatArray = field(default_factory=lambda: np.zeros((structs.INPUT_COUNT, 4)))
+    inputs: dict[int, TextureInput | PrimvarInput] = field(default_factory=dict)
+    weighs: bool = False
+    """Whether the base inputs are basis weights, not a color."""
+
+
+def wraps_of(materials: Sequence[SkinMaterial | SurfaceMaterial]) -> tuple[float, ...]:
+    """Return the distinct wraps l of the skin materials, ascending; 0 where there are none."""
+    found = {_wrap(material) for material in materials if isinstance(material, SkinMaterial)}
+    return tuple(sorted(found)) or (0.0,)
+
+
+def _wrap(skin: SkinMaterial) -> float:
+    return float(np.float32(skin.parameters.wrap))
+
+
+def gloss_alphas(
+    materials: Sequence[SkinMaterial | SurfaceMaterial], ladder: tuple[float, ...]
+) -> tuple[float, ...]:
+    """Return the GGX alphas to prefilter, ascending: those in use, or the ladder if they vary."""
+    found: set[float] = set()
+    for material in materials:
+        if isinstance(material, SkinMaterial):
+            skin = material.parameters
+            if skin.specular_weight > 0.0:
+                found |= {skin.roughness1**2, skin.roughness2**2}
+        elif material.reflective:
+            for value in (material.roughness, material.clearcoat_roughness):
+                if isinstance(value, TextureInput | PrimvarInput):
+                    return ladder
+            found.add(float(material.roughness) ** 2)
+            if material.clearcoat != 0.0:
+                found.add(float(material.clearcoat_roughness) ** 2)
+    return tuple(sorted(round(float(alpha), 6) for alpha in found))
+
+
+def dome_rows(light: FloatArray) -> MaterialRows:
+    """Return what the camera sees of the domes: the light's channels themselves."""
+    return MaterialRows(DOME, np.ones((1, light.shape[2])), list(light))
+
+
+def skin_rows(
+    material: SkinMaterial,
+    light: FloatArray,
+    frame: SpectralFrame,
+    thickness_range: dict[str, float],
+) -> MaterialRows:
+    """Return S (J1 + Ss (J2front + exp(-s delta) J2back)) alpha / pi, and the lustre above it."""
+    skin = material.parameters
+    nm = frame.wavelength_nm
+    row = MaterialRows(SKIN, _skin_bases(material, frame), wrap=_wrap(material))
+    row.weighs = material.weights is not None
+    base = material.albedo or material.weights
+    if base is not None:
+        row.inputs[structs.INPUT_BASE] = base
+    if material.weights_high is not None:
+        row.inputs[structs.INPUT_BASE_HIGH] = material.weights_high
+    scattering = _values(skin.scattering, nm, 0.0)
+    if skin.wrap_normalization == "energy":
+        scattering = scattering / (1.0 + skin.wrap)
+    opacity = _values(skin.opacity, nm, 0.0)
+    passes = [row.bases, row.bases * scattering]
+    if opacity.max(initial=0.0) > 0.0:
+        row.nodes = _thickness_nodes(material, opacity, thickness_range)
+        passes += [row.bases * scattering * np.exp(-node * opacity) for node in row.nodes]
+    for reflectances in passes:
+        for spectrum in skin.alpha / np.pi * reflectances:
+            row.rows += list(light * spectrum)
+    row.constant[structs.INPUT_BASE, 0] = 1.0
+    row.constant[structs.INPUT_OPACITY, 0] = 1.0
+    row.constant[structs.INPUT_THICKNESS] = skin.thickness
+    if material.thickness_primvar is not None:
+        row.inputs[structs.INPUT_THICKNESS] = PrimvarInput(
+            material.thickness_primvar, (skin.thickness,)
+        )
+    if skin.specular_weight > 0.0:
+        row.flags |= GLOSSY
+        row.constant[structs.INPUT_SPECULAR, 0] = skin.f0
+        row.constant[structs.INPUT_LOBES] = (
+            skin.specular_weight, skin.roughness1**2, skin.roughness2**2, skin.mix,
+        )  # fmt: skip
+        row.rows += list(light)
+    return row
+
+
+def _skin_bases(material: SkinMaterial, frame: SpectralFrame) -> FloatArray:
+    """Return S, or the reflectances that a texture weighs."""
+    skin = material.parameters
+    if material.albedo is not None:
+        return reflectance_basis(frame.wavelength_nm, frame.color_space, frame.observer)
+    if material.weights is not None:
+        if skin.weights_basis is None or skin.weights_wavelength_nm is None:
+            raise LayerError(
+                f"<{material.path}>: inputs:skin:weights:file has no inputs:skin:weights:basis; "
+                "author the spectra the weights multiply."
+            )
+        if len(skin.weights_basis) > 8:
+            raise LayerError(
+                f"<{material.path}>: inputs:skin:weights:basis has {len(skin.weights_basis)} "
+                "spectra; 8 are the most."
+            )
+        return resample(
+            skin.weights_wavelength_nm, skin.weights_basis, frame.wavelength_nm, outside="hold"
+        )
+    return _values(skin.reflectance, frame.wavelength_nm, 1.0)[None]
+
+
+def _values(spectrum: Spectrum | float | None, nm: FloatArray, fallback: float) -> FloatArray:
+    if spectrum is None:
+        return np.full(len(nm), fallback)
+    if isinstance(spectrum, Spectrum):
+        return spectrum.resample(nm)
+    return np.full(len(nm), float(spectrum))
+
+
+def _thickness_nodes(
+    material: SkinMaterial, opacity: FloatArray, thickness_range: dict[str, float]
+) -> FloatArray:
+    """Return Chebyshev nodes at which exp(-s delta) interpolates to the tolerance."""
+    skin = material.parameters
+    largest = max(thickness_range.get(material.path, 0.0), 0.0)
+    if material.thickness_primvar is None or largest <= 0.0:
+        return np.array([skin.thickness])
+    test = np.linspace(0.0, largest, 257)
+    extremes = np.array([opacity.min(), np.median(opacity), opacity.max()])
+    exact = np.exp(-test[:, None] * extremes)
+    for count in range(2, THICKNESS_NODES + 1):
+        nodes = 0.5 * largest * (1.0 - np.cos(np.pi * (np.arange(count) + 0.5) / count))
+        nodes = np.concatenate([[0.0], nodes[1:]])
+        found = _lagrange(nodes, test) @ np.exp(-nodes[:, None] * extremes)
+        if np.abs(found - exact).max() < THICKNESS_TOLERANCE:
+            break
+    return nodes
+
+
+def _lagrange(nodes: FloatArray, at: FloatArray) -> FloatArray:
+    weights = np.ones((len(at), len(nodes)))
+    for k, node in enumerate(nodes):
+        for j, other in enumerate(nodes):
+            if j != k:
+                weights[:, k] *= (at - other) / (node - other)
+    return weights
+
+
+def preview_rows(
+    material: SurfaceMaterial, light: FloatArray, frame: SpectralFrame
+) -> MaterialRows:
+    """Return diffuse / pi, the white and the tinted reflections, and the emission."""
+    nm = frame.wavelength_nm
+    rgb = reflectance_basis(nm, frame.color_space, frame.observer)
+    row = MaterialRows(PREVIEW, rgb)
+    base = material.diffuse_color
+    if material.reflectance is not None:
+        row.bases = material.reflectance.resample(nm)[None]
+        row.constant[structs.INPUT_BASE, 0] = 1.0
+    elif isinstance(base, TextureInput | PrimvarInput):
+        row.inputs[structs.INPUT_BASE] = base
+    else:
+        row.bases = (np.asarray(base, float)[:3] @ rgb)[None]
+        row.constant[structs.INPUT_BASE, 0] = 1.0
+    row.flags |= SPECULAR_WORKFLOW * material.use_specular_workflow
+    row.flags |= PRESENCE * (material.opacity_mode == "presence")
+    for spectrum in row.bases / np.pi:
+        row.rows += list(light * spectrum)
+    if material.reflective:
+        row.flags |= GLOSSY
+        row.rows += list(light)
+        tinted = material.use_specular_workflow or material.metallic != 0.0
+        if tinted:
+            row.flags |= TINTED
+            for spectrum in rgb if material.use_specular_workflow else row.bases:
+                row.rows += list(light * spectrum)
+        if material.clearcoat != 0.0:
+            row.flags |= CLEARCOAT
+    emission = material.emissive_color
+    if not isinstance(emission, tuple) or any(value != 0.0 for value in emission):
+        row.flags |= EMISSIVE
+        row.rows.append(_emission_rows(frame))
+    values: dict[int, Input] = {
+        structs.INPUT_METALLIC: material.metallic,
+        structs.INPUT_ROUGHNESS: material.roughness,
+        structs.INPUT_CLEARCOAT: material.clearcoat,
+        structs.INPUT_CLEARCOAT_ROUGHNESS: material.clearcoat_roughness,
+        structs.INPUT_OPACITY: material.opacity,
+        structs.INPUT_EMISSION: emission,
+        structs.INPUT_SPECULAR: material.specular_color
+        if material.use_specular_workflow
+        else ((material.ior - 1.0) / (material.ior + 1.0)) ** 2,
+    }
+    for which, value in values.items():
+        if isinstance(value, TextureInput | PrimvarInput):
+            row.inputs[which] = value
+        elif isinstance(value, tuple):
+            row.constant[which, : len(value)] = value
+        else:
+            row.constant[which] = value
+    row.constant[structs.INPUT_OPACITY, 1] = material.opacity_threshold
+    return row
+
+
+def _emission_rows(frame: SpectralFrame) -> FloatArray:
+    """Return the spectra of emitted RGB, 1 nit (or relative unit) of the space's white at 1."""
+    nm = frame.wavelength_nm
+    spectra = light_basis(illuminant("D65", nm), nm, frame.color_space, frame.observer)
+    weights = xyz_weights(nm, frame.observer, frame.absolute)
+    relative = xyz_weights(nm, frame.observer, False)
+    scale = relative[:, 1].sum() / weights[:, 1].sum()
+    return np.concatenate([spectra * scale, np.zeros((1, len(nm)))])
