@@ -44,11 +44,12 @@ $(BIN)/python:
 	            2>/dev/null; then \
 	        echo "environment: $(VENV), from $$python"; \
 	        "$$python" -m venv $(VENV) && exit 0; \
+	        rm -rf $(VENV); \
 	    fi; \
 	done; \
 	echo "make: no usable Python. usdskin needs Python 3.11, 3.12 or 3.13 with venv" \
 	    "(Debian, Ubuntu: apt install python3-venv; Rocky: dnf install python3.12), or PYTHON=/path/to/python" >&2; \
-	rm -rf $(VENV); exit 1
+	exit 1
 
 $(VENV)/installed.stamp: pyproject.toml | $(BIN)/python
 	@echo "installing usdskin into $(VENV) (some minutes the first time)"

@@ -22,6 +22,8 @@ STEPS = ("usdskin.capture", "usdskin.estimate", "usdskin.render")
 
 ABOVE_STEPS = (
     "usdskin.judge",
+    "usdskin.stage_checks",
+    "usdskin.validate",
     "usdskin.inspect",
     "usdskin.commands",
     "usdskin.cli",

@@ -390,6 +390,14 @@ def test_plain_progress_is_a_line_a_tenth_with_the_time_left(capsys):
     assert lines[-1] == "shade: 100 %  100.0 s, done"
 
 
+def test_plain_progress_of_quick_work_is_its_last_line(capsys):
+    progress = PlainProgress(sys.stdout, Clock())
+    progress.start(100, "shade")
+    for _ in range(100):
+        progress.advance()
+    assert capsys.readouterr().out == "shade: 100 %  0.0 s, done\n"
+
+
 def test_progress_counts_threads_exactly():
     events = []
     progress = JsonProgress(events.append)
@@ -420,3 +428,124 @@ def test_progress_may_be_ended_before_and_twice():
 )
 def test_rate_has_the_prefix_that_keeps_it_short(rate, text):
     assert format_rate(rate) == text
+
+
+# Bad input, all the way through the real render
+
+GOOD = """#usda 1.0
+(
+    metersPerUnit = 1
+)
+def Camera "Cam"
+{
+    float2 clippingRange = (0.1, 100)
+    double3 xformOp:translate = (0, 0, 5)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+def DistantLight "Sun" (prepend apiSchemas = ["SpectralLightAPI"])
+{
+    uniform token inputs:spectral:source = "rgb"
+}
+def Mesh "Card" (prepend apiSchemas = ["MaterialBindingAPI"])
+{
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(-1, -1, 0), (1, -1, 0), (0, 1, 0)]
+    uniform token subdivisionScheme = "none"
+    rel material:binding = </Skin>
+}
+def Material "Skin" (
+    prepend apiSchemas = ["SkinMaterialAPI", "SpectralDistributionAPI:reflectance"]
+)
+{
+    double[] spectrum:reflectance:wavelengths = [400, 700]
+    double[] spectrum:reflectance:values = [0.3, 0.6]
+}
+"""
+
+
+@pytest.fixture
+def render_in(tmp_path, monkeypatch):
+    """Return a function that renders a changed good stage in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def run_render(*changes, arguments=()):
+        text = GOOD
+        for before, after in changes:
+            assert before in text
+            text = text.replace(before, after)
+        Path("shot.usda").write_text(text)
+        return cli.main(["-q", "render", "shot.usda", "o.exr", "-r", "8", "8", *arguments])
+
+    return run_render
+
+
+def test_good_stage_renders(render_in, capsys):
+    assert render_in() == 0
+    assert capsys.readouterr().out == "o.exr\no.png\n"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [(GOOD, "#usda 1.0\ndef {")],
+        [('def Camera "Cam"', 'def Xform "Cam"')],
+        [('def DistantLight "Sun"', 'def Xform "Sun"'), ('["SpectralLightAPI"]', '["x"]')],
+        [('"SpectralLightAPI"', '"SpectralLigthAPI"')],
+        [('source = "rgb"', 'source = "rbg"')],
+        [("[400, 700]", "[700, 400]")],
+        [("[400, 700]", "[400, 550, 700]")],
+        [("[0.3, 0.6]", "[0.3, nan]")],
+        [("[0.3, 0.6]", "[0.3, -0.6]")],
+        [("double[] spectrum", "float inputs:skin:wrap = 2\n    double[] spectrum")],
+        [("double[] spectrum", "asset inputs:skin:albedo:file = @no.png@\n    double[] spectrum")],
+        [('source = "rgb"', 'source = "tabulated"')],
+        [("metersPerUnit = 1", "metersPerUnit = 0")],
+        [("metersPerUnit = 1", "timeCodesPerSecond = 0")],
+    ],
+)
+def test_bad_stage_is_one_line_exit_code_3_and_no_file(render_in, changes, capsys, tmp_path):
+    assert render_in(*changes) == 3
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("usdskin: error: ")
+    assert printed.err.count("\n") == 1
+    assert "shot.usda" in printed.err
+    assert [path.name for path in tmp_path.iterdir()] == ["shot.usda"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["-cam", "/Nope"], 3),
+        (["-rs", "/Nope"], 2),
+        (["-r", "0", "5"], 2),
+        (["-r", "1000000000", "1000000000"], 2),
+        (["--integrator", "traced"], 2),
+        (["--illuminant", "FL99"], 2),
+        (["--view", "nope"], 2),
+        (["--white", "nope"], 2),
+        (["--set", "/Skin.inputs:skin:wrap=x"], 2),
+        (["--variant", "/Skin{a=b}"], 2),
+        (["--device", "cuda:99"], 6),
+    ],
+)
+def test_bad_flag_is_one_line_and_no_file(render_in, arguments, code, capsys, tmp_path):
+    assert render_in(arguments=arguments) == code
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["shot.usda"]
+
+
+def test_output_that_cannot_be_written_is_one_line_and_exit_code_3(render_in, capsys, tmp_path):
+    Path("file").write_text("")
+    Path("shot.usda").write_text(GOOD)
+    assert cli.main(["-q", "render", "shot.usda", "file/o.exr", "-r", "8", "8"]) == 3
+    assert capsys.readouterr().err.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "shot.usda"]
+
+
+def test_missing_stage_is_one_line_and_exit_code_3(capsys):
+    assert cli.main(["render", "/nowhere/shot.usda", "o.exr"]) == 3
+    assert "/nowhere/shot.usda" in capsys.readouterr().err

@@ -16,15 +16,10 @@ from numpy.typing import NDArray
 
 from usdskin.render.device import Workers, open_workers
 from usdskin.render.environment import build_environment
-from usdskin.render.light_maps import (
-    MAP_ERROR_TARGET,
-    LightField,
-    build_light_field,
-    integrate_normals,
-    to_device,
-)
+from usdskin.render.light_maps import LightField, build_light_field
 from usdskin.render.lights import DomeLight, Lights
 from usdskin.render.texels import factorize
+from usdskin.render.zonal_maps import MAP_ERROR_TARGET, integrate_normals, to_device
 from usdskin.warp_kernels import structs
 from usdskin.warp_kernels.lookup import latlong_coordinates
 from usdskin.warp_kernels.skin import diffuse_light
@@ -53,69 +48,66 @@ class Oracle:
     """Integrals over the texels of a latlong map, in float64.
 
     On either side of its kink the kernel is linear in N.L, so a texel counts with Int dL and
-    Int L dL (Gauss-Legendre); a texel that the kink may cross is split into equal-area parts.
+    Int L dL (Gauss-Legendre); a texel that the kink may cross is split into parts of equal area.
     """
 
-    def __init__(self, values: NDArray, to_world: FloatArray, parts: int = 24):
+    def __init__(self, values: NDArray, to_world: FloatArray):
         self.values = values.astype(np.float64)
         self.to_world = to_world
-        self.parts = parts
         height, width = values.shape[:2]
         x, w = np.polynomial.legendre.leggauss(6)
         step_polar, step = np.pi / height, 2.0 * np.pi / width
         polar = step_polar * (np.arange(height)[:, None] + 0.5 + 0.5 * x)
         azimuth = step * (np.arange(width)[:, None] + 0.5 + 0.5 * x)
-        row = 0.5 * step_polar * w * np.sin(polar)  # [height, 6]
-        column = np.broadcast_to(0.5 * step * w, azimuth.shape)
-        self.solid_angle = row.sum(1)[:, None] * np.full(width, step)
-        sine, cosine = (row * np.sin(polar)).sum(1), (row * np.cos(polar)).sum(1)
+        row, column = 0.5 * step_polar * w * np.sin(polar), 0.5 * step * w
+        flat = np.full(width, step)
+        self.area = row.sum(1)[:, None] * flat
+        sine, cosine = (row * np.sin(polar)).sum(1)[:, None], (row * np.cos(polar)).sum(1)[:, None]
         along, across = (column * np.sin(azimuth)).sum(1), (column * np.cos(azimuth)).sum(1)
-        self.moment = np.stack(
-            [
-                sine[:, None] * along,
-                cosine[:, None] * np.full(width, step),
-                -sine[:, None] * across,
-            ],
-            axis=-1,
-        )
-        self.reach = 0.5 * np.hypot(step_polar, step) * 1.01
+        moment = np.stack([sine * along, cosine * flat, -sine * across], axis=-1)
+        self.center = moment / self.area[..., None]
+        flux = np.abs(self.values).max(-1) * self.area
+        self.is_bright = flux > 1e-4 * flux.sum()
+        self.reach = 0.505 * np.hypot(step_polar, step)
 
     def integrate(self, normals: NDArray, wrap: float, step: bool = False) -> FloatArray:
         """Int max((N.L + l)/(1 + l), 0) c dL, or Int_{N.L > 0} c dL; shape [count, r]."""
         local = normals.astype(np.float64) @ self.to_world
         height, width, channels = self.values.shape
         total = np.zeros((len(local), channels))
-        rows = max(1, 1_500_000 // (width * len(local)))
+        rows = max(1, 500_000 // (width * len(local)))
         for top in range(0, height, rows):
             here = slice(top, min(top + rows, height))
-            moment = self.moment[here].reshape(-1, 3)
-            area = self.solid_angle[here].reshape(-1)
-            x = moment @ local.T / area[:, None]
-            side = (x > -wrap) * area[:, None]
-            kernel = side if step else side * ((x + wrap) / (1.0 + wrap))
-            texel, normal = np.nonzero(np.abs(x + wrap) < self.reach)
-            if len(texel):
-                kernel[texel, normal] = area[texel] * self._split(
-                    top + texel // width, texel % width, local[normal], wrap, step
+            x = self.center[here].reshape(-1, 3) @ local.T
+            x += wrap
+            kernel = (x > 0.0).astype(float) if step else np.maximum(x, 0.0) / (1.0 + wrap)
+            crossed = np.flatnonzero(np.abs(x, out=x) < self.reach)
+            texel, normal = np.divmod(crossed, len(local))
+            is_bright = self.is_bright[here].ravel()[texel]
+            for chosen, parts in ((is_bright, 48), (~is_bright, max(2, 256 // height))):
+                i, j = np.divmod(texel[chosen], width)
+                kernel[texel[chosen], normal[chosen]] = self._split(
+                    top + i, j, local[normal[chosen]], wrap, step, parts
                 )
-            total += kernel.T @ self.values[here].reshape(-1, channels)
+            weighted = self.values[here] * self.area[here, :, None]
+            total += kernel.T @ weighted.reshape(-1, channels)
         return total
 
     def _split(
-        self, i: NDArray, j: NDArray, normal: FloatArray, wrap: float, step: bool
+        self, i: NDArray, j: NDArray, normal: FloatArray, wrap: float, step: bool, parts: int
     ) -> FloatArray:
         height, width = self.values.shape[:2]
-        part = (np.arange(self.parts) + 0.5) / self.parts
+        part = (np.arange(parts) + 0.5) / parts
         top, bottom = np.cos(np.pi * i / height), np.cos(np.pi * (i + 1) / height)
-        polar = np.arccos(np.clip(top[:, None] + (bottom - top)[:, None] * part, -1.0, 1.0))
+        level = top[:, None] + (bottom - top)[:, None] * part
         azimuth = 2.0 * np.pi * (j[:, None] + part) / width
         n = normal[:, :, None]
-        level = np.cos(polar) * n[:, 1]
         around = np.sin(azimuth) * n[:, 0] - np.cos(azimuth) * n[:, 2]
-        x = level[:, :, None] + np.sin(polar)[:, :, None] * around[:, None, :]
+        x = np.sqrt(1.0 - level**2)[:, :, None] * around[:, None, :]
+        x += (level * n[:, 1])[:, :, None] + wrap
         if step:
-            return np.mean(x > -wrap, axis=(1, 2))
-        return np.mean(np.maximum((x + wrap) / (1.0 + wrap), 0.0), axis=(1, 2))
+            return np.mean(x > 0.0, axis=(1, 2))
+        return np.maximum(x, 0.0, out=x).mean(axis=(1, 2)) / (1.0 + wrap)
 
 
 def test_the_oracle_knows_the_closed_forms():
@@ -184,7 +176,7 @@ def sky_with_sun(height: int = 1024) -> tuple[FloatArray, FloatArray]:
     )
     inside = directions(azimuth, polar) @ sun > np.cos(np.radians(0.25))
     cover = inside.reshape(len(rows), 16, len(columns), 16).mean((1, 3))
-    area = Oracle(np.ones((height, 2 * height, 1)), np.eye(3)).solid_angle
+    area = Oracle(np.ones((height, 2 * height, 1)), np.eye(3)).area
     block = np.ix_(rows, columns)
     flux = (sky[..., 1] * area).sum()
     sky[block] += 9.0 * flux / (cover * area[block]).sum() * cover[..., None] * [1.1, 1.0, 0.8]

@@ -80,7 +80,7 @@ def test_without_settings_the_schema_says_everything(resolve):
     assert settings.purposes == {"default", "render"}
     assert settings.material_purposes == ("full", "")
     assert settings.color_space == "lin_rec709_scene"
-    assert (settings.ev, settings.white, settings.illuminant) == ("auto", "scene", "D65")
+    assert (settings.ev, settings.white, settings.illuminant) == ("auto", "scene", None)
     assert settings.prim_path is None
     assert not notes
 

@@ -300,9 +300,7 @@ def linearize(values: ArrayLike, color_space: str) -> NDArray[Any]:
     Returns:
         Linear values, the same shape; negative ones are mirrored through zero.
     """
-    encoded = np.asarray(values)
-    if not np.issubdtype(encoded.dtype, np.floating):
-        encoded = encoded.astype(np.float64)
+    encoded = _floating(values)
     transfer = _space(color_space)[1]
     if transfer == "linear":
         return encoded
@@ -312,9 +310,14 @@ def linearize(values: ArrayLike, color_space: str) -> NDArray[Any]:
     return power
 
 
+def _floating(values: ArrayLike) -> NDArray[Any]:
+    array = np.asarray(values)
+    return array if np.issubdtype(array.dtype, np.floating) else array.astype(np.float64)
+
+
 def decode_srgb(encoded: ArrayLike) -> NDArray[Any]:
     """Return the linear values of sRGB-encoded ones (IEC 61966-2-1), mirrored through zero."""
-    value = np.asarray(encoded)
+    value = _floating(encoded)
     size = np.abs(value)
     linear = np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
     result: NDArray[Any] = np.copysign(linear, value).astype(value.dtype, copy=False)
@@ -323,7 +326,7 @@ def decode_srgb(encoded: ArrayLike) -> NDArray[Any]:
 
 def encode_srgb(linear: ArrayLike) -> NDArray[Any]:
     """Return the sRGB encoding of linear values (IEC 61966-2-1), mirrored through zero."""
-    value = np.asarray(linear)
+    value = _floating(linear)
     size = np.abs(value)
     encoded = np.where(size <= 0.0031308, size * 12.92, 1.055 * size ** (1.0 / 2.4) - 0.055)
     result: NDArray[Any] = np.copysign(encoded, value).astype(value.dtype, copy=False)

@@ -266,8 +266,9 @@ def record_provenance(
     """Record in a stage's root layer who made it, from which inputs and how.
 
     The record is written twice: as ``customLayerData["usdskin"][step]`` of the layer, and, where
-    this USD has it, as ``UsdMedia.AuthorshipAPI:<step>`` on its default prim, which composes. It holds no absolute
-    path, no user and no machine. ``SOURCE_DATE_EPOCH`` fixes its time, for reproducible files.
+    this USD has it, as ``UsdMedia.AuthorshipAPI:<step>`` on its default prim, which composes. It
+    holds no absolute path, no user and no machine. ``SOURCE_DATE_EPOCH`` fixes its time, for
+    reproducible files.
 
     Args:
         stage: Stage whose root layer is going to be written; it has a default prim.

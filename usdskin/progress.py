@@ -35,21 +35,24 @@ class SilentProgress:
 
 
 class SteppedProgress:
-    """Reports at most once every tenth of the work, and at its end."""
+    """Reports at most once every tenth of the work and interval, and at the end of the work."""
 
     def __init__(
         self,
         report: Callable[[str, int, int, float], None],
         clock: Callable[[], float] = time.monotonic,
+        interval_s: float = 0.0,
     ) -> None:
         """Set up the progress.
 
         Args:
             report: Called with the label, the units done, the total and the time passed [s].
             clock: Gives the time [s].
+            interval_s: Least time between reports [s].
         """
         self._report = report
         self._clock = clock
+        self._interval_s = interval_s
         self._lock = threading.Lock()
         self._total = 0
 
@@ -59,7 +62,7 @@ class SteppedProgress:
         with self._lock:
             self._total, self._label = max(total, 1), label
             self._count, self._told = 0, 0
-            self._began = self._clock()
+            self._began = self._last = self._clock()
 
     def advance(self, count: int = 1) -> None:
         """Count ``count`` more units as done."""
@@ -67,10 +70,11 @@ class SteppedProgress:
             if not self._total:
                 return
             self._count = min(self._count + count, self._total)
-            tenth = 10 * self._count // self._total
-            if tenth > self._told:
-                self._told = tenth
-                self._report(self._label, self._count, self._total, self._clock() - self._began)
+            tenth, now = 10 * self._count // self._total, self._clock()
+            due = self._count == self._total or now - self._last >= self._interval_s
+            if tenth > self._told and due:
+                self._told, self._last = tenth, now
+                self._report(self._label, self._count, self._total, now - self._began)
 
     def done(self) -> None:
         """End the piece of work; harmless when none is under way."""
@@ -83,7 +87,7 @@ class PlainProgress(SteppedProgress):
 
     def __init__(self, stream: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
         """Write the lines to ``stream``."""
-        super().__init__(self._print, clock)
+        super().__init__(self._print, clock, interval_s=1.0)
         self._stream = stream
 
     def _print(self, label: str, count: int, total: int, seconds: float) -> None:

@@ -98,16 +98,15 @@ def _state(distribution: str, module: str, needed: bool) -> tuple[str, bool]:
 
 
 def _warp_facts() -> list[tuple[str, str]]:
-    import logging
     from importlib import import_module
 
     try:
+        from usdskin.render.device import open_workers
+
         warp: Any = import_module("warp")
     except ImportError:
         return []
-    warp.config.quiet = True  # Warp up to 1.11 or so; log_level since
-    warp.config.log_level = logging.ERROR
-    warp.init()
+    open_workers("cpu")  # starts Warp without its greeting
     facts = [("device", f"{device.alias} ({device.name})") for device in warp.get_devices()]
     return [*facts, ("kernel cache", str(warp.config.kernel_cache_dir))]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdskin.colorimetry import illuminant, xyz_to_rgb, xyz_weights
+from usdskin.colorimetry import cat16, illuminant, white_xyz, xyz_to_rgb, xyz_weights
 from usdskin.image_output import write_png
 from usdskin.meshfiles.meshfile import FileMaterial
 from usdskin.prims import write_spectrum
@@ -21,6 +21,8 @@ from usdskin.uplift import reflectance_basis
 from pxr import Gf, Sdf, UsdShade
 
 Color = tuple[float, float, float]
+
+_SPACE = "lin_rec709_scene"
 
 _REFERENCE = "skin_reference.csv"
 """Measured skin in ``usdskin/data``: wavelength_nm, reflectance and perhaps scattering."""
@@ -103,17 +105,19 @@ def reference_spectra() -> dict[str, Spectrum]:
 
 def _lifted(color: Color) -> Spectrum:
     """Return the reflectance of an RGB color, exact under D65 where it stays from 0 to 1."""
-    values = np.clip(np.asarray(color) @ reflectance_basis(DEFAULT_WAVELENGTHS_NM), 0.0, 1.0)
+    values = np.clip(
+        np.asarray(color) @ reflectance_basis(DEFAULT_WAVELENGTHS_NM, _SPACE), 0.0, 1.0
+    )
     return Spectrum(SpectralQuantity.REFLECTANCE, DEFAULT_WAVELENGTHS_NM, values)
 
 
 def _rgb(reflectance: Spectrum) -> Color:
-    """Return the linear Rec.709 color of a reflectance under D65."""
+    """Return the linear Rec.709 color of a reflectance under D65, where a perfect white is 1."""
     grid = DEFAULT_WAVELENGTHS_NM
-    light = illuminant("D65", grid)
-    weights = light[:, None] * xyz_weights(grid, "cie1931_2", False)
-    seen = reflectance.resample(grid) @ weights
-    red, green, blue = xyz_to_rgb("lin_rec709_scene") @ (seen / weights[:, 1].sum())
+    weights = illuminant("D65", grid)[:, None] * xyz_weights(grid, "cie1931_2", False)
+    weights /= weights[:, 1].sum()
+    adapted = cat16(weights.sum(axis=0), white_xyz(_SPACE)) @ (reflectance.resample(grid) @ weights)
+    red, green, blue = xyz_to_rgb(_SPACE) @ adapted
     return max(float(red), 0.0), max(float(green), 0.0), max(float(blue), 0.0)
 
 

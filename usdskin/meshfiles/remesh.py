@@ -117,18 +117,43 @@ def _drop_non_manifold(open3d: Any, mesh: MeshFile) -> MeshFile:
 def _turn_alike(open3d: Any, mesh: MeshFile) -> tuple[MeshFile, int]:
     triangles, parents = triangulated(mesh)
     found = to_open3d(open3d, triangles)
+    parts = np.asarray(found.cluster_connected_triangles()[0], dtype=np.int64)
     if not found.orient_triangles():
         return mesh, 0
     before = triangles.face_indices.reshape(-1, 3)
     after = np.asarray(found.triangles, dtype=np.int32)
     # A turned triangle is an odd permutation of its corners.
-    turned = ~(
-        (after == before) | (after == np.roll(before, 1, 1)) | (after == np.roll(before, 2, 1))
-    )
+    alike = [(after == np.roll(before, shift, axis=1)).all(axis=1) for shift in range(3)]
+    turned = ~np.logical_or.reduce(alike)
+    wrong_way = _inside_out(mesh.points[after], after, parts, turned)
     flipped = np.zeros(mesh.face_count, dtype=bool)
-    flipped[parents[turned.all(axis=1)]] = True
-    corners = mesh.points[after]
-    volume = float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])))
-    if volume < 0.0 and found.is_edge_manifold(allow_boundary_edges=False):
-        flipped = ~flipped
+    flipped[parents[turned ^ wrong_way[parts]]] = True
     return flip_faces(mesh, flipped), int(flipped.sum())
+
+
+def _inside_out(
+    corners: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    parts: NDArray[np.int64],
+    turned: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """Return which connected parts, each turned one way, are to be turned the other way.
+
+    A closed part has its outside where its signed volume is positive; an open one keeps the side
+    that most of its triangles had.
+
+    Args:
+        corners: Positions of the triangles, shape [triangle_count, 3, 3].
+        triangles: Their points, shape [triangle_count, 3].
+        parts: Part of each triangle, shape [triangle_count].
+        turned: Which triangles were turned, shape [triangle_count].
+    """
+    volume = np.bincount(
+        parts, np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    )
+    edges = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
+    first, which = unique_rows(edges.reshape(-1, 2))
+    lonely = np.bincount(which, minlength=len(first)) == 1
+    is_open = np.bincount(np.repeat(parts, 3), lonely[which]) > 0.0
+    mostly_turned = np.bincount(parts, turned) > 0.5 * np.bincount(parts)
+    return np.where(is_open, mostly_turned, volume < 0.0)

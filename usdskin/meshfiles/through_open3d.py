@@ -78,8 +78,8 @@ def quiet(open3d: Any) -> Iterator[None]:
 def to_open3d(open3d: Any, mesh: MeshFile) -> Any:
     """Return a mesh of triangles as open3d's, without its attributes."""
     return open3d.geometry.TriangleMesh(
-        open3d.utility.Vector3dVector(mesh.points),
-        open3d.utility.Vector3iVector(mesh.face_indices.reshape(-1, 3)),
+        open3d.utility.Vector3dVector(mesh.points.copy()),
+        open3d.utility.Vector3iVector(mesh.face_indices.reshape(-1, 3).copy()),
     )
 
 

@@ -59,6 +59,17 @@ def instances(prim: Usd.Prim, schema: str) -> list[str]:
     return [name[len(prefix) :] for name in prim.GetAppliedSchemas() if name.startswith(prefix)]
 
 
+def fits(prim: Usd.Prim, schema: str) -> bool:
+    """Return whether a schema may be applied to a prim.
+
+    Not every USD's ``CanApplyAPI`` takes an API schema such as LightAPI for a condition: that of
+    26.5 refuses every light.
+    """
+    allowed = Usd.SchemaRegistry.GetAPISchemaCanOnlyApplyToTypeNames(schema, "")
+    applied = prim.GetAppliedSchemas()
+    return not allowed or any(prim.IsA(name) or name in applied for name in allowed)
+
+
 def applied_problems(prim: Usd.Prim) -> Iterator[Problem]:
     """Yield what ``check_applied_schemas`` refuses."""
     applied = [str(name) for name in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
@@ -84,10 +95,10 @@ def _schema_problems(prim: Usd.Prim, name: str) -> Iterator[Problem]:
     elif base not in _MULTIPLE_APPLY and instance:
         text = f'is applied with an instance name; write "{base}"'
         yield Problem("misapplied-schema", name, text)
-    elif not (prim.CanApplyAPI(base, instance) if instance else prim.CanApplyAPI(base)):
-        allowed = Usd.SchemaRegistry.GetAPISchemaCanOnlyApplyToTypeNames(base, "")
+    elif not fits(prim, base):
+        allowed = " or ".join(Usd.SchemaRegistry.GetAPISchemaCanOnlyApplyToTypeNames(base, ""))
         kind = str(prim.GetTypeName()) or "prim without a type"
-        text = f"is applied to a {kind}; it fits {' or '.join(allowed)} only, so move it there"
+        text = f"is applied to a {kind}; it fits {allowed} only, so move it there"
         yield Problem("misapplied-schema", name, text)
 
 

@@ -12,6 +12,7 @@ from pxr import Sdf, Usd, Vt
 
 from usdskin.errors import LayerError
 from usdskin.layers import describe
+from usdskin.prims.applied import fits
 
 
 def write_schema(
@@ -32,7 +33,7 @@ def write_schema(
         LayerError: The schema does not fit the prim, or the file of a layer in memory has an
             absolute path.
     """
-    if not prim.CanApplyAPI(schema):
+    if not fits(prim, schema):
         raise LayerError(
             f"{describe(prim)}: {schema} does not fit a {prim.GetTypeName() or 'untyped prim'}"
         )

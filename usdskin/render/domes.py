@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,7 +176,7 @@ def _read_rgb(
         image = read_image(path, channels=chosen)
     except ImageError as error:
         raise _placed(error, path, where) from None
-    _check_layout(light, image.pixels.shape, image.attributes.get("envmap"), where, context)
+    _check_layout(light, image.pixels.shape, image.attributes, where, context)
     pixels = image.pixels
     if pixels.shape[2] == 1:
         pixels = np.repeat(pixels, 3, axis=2)
@@ -206,7 +207,11 @@ def _rgb_channels(where: str, names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _check_layout(
-    light: LightPrim, shape: tuple[int, ...], envmap: object, where: str, context: Context
+    light: LightPrim,
+    shape: tuple[int, ...],
+    attributes: dict[str, Any],
+    where: str,
+    context: Context,
 ) -> None:
     """Refuse an RGB map that is not, or not known to be, a latlong one."""
     token = str(light_input(light.prim, "texture:format", context)[1] or "automatic")
@@ -216,8 +221,11 @@ def _check_layout(
             "convert the map to latlong"
         )
     height, width = shape[:2]
-    if token == "latlong" or envmap in (0, "latlong"):
+    said = str(attributes.get("textureformat", ""))  # OpenImageIO's name of EXR's envmap
+    if token == "latlong" or said.startswith("LatLong"):
         return
+    if "Environment" in said:
+        raise ImageError(f"{where}: a {said}, which cannot be read yet; convert it to latlong")
     if abs(width / height / 2.0 - 1.0) > _ASPECT_TOLERANCE:
         raise ImageError(
             f"{where}: {width} x {height} pixels are not twice as wide as high, so no latlong "

@@ -26,6 +26,8 @@ LAMP_SHARE = 4.0e-3
 
 MAX_LAMPS = 64
 
+_LEAST_ROWS = 96
+
 GLOSS_LAMP_SHARE = 0.02
 """A lamp with more of the flux than this is reflected by itself, not prefiltered."""
 
@@ -67,7 +69,8 @@ class Environment:
     """Strongest first."""
 
     lamp_blocks: NDArray[np.int64]
-    """(row, column, height, width) of the texels each lamp was taken from, shape [count, 4]."""
+    """(row, column, height, width) of the ``refined`` texels each lamp was taken from, shape
+    [count, 4]."""
 
     gloss_lamp_count: int
     """How many lamps, the first ones, are strong enough to be reflected by themselves."""
@@ -109,6 +112,7 @@ def build_environment(
         to_world: Rotation from the light's frame, shape [3, 3].
         max_lamps: The most lamps to take out.
     """
+    coefficients = refined(coefficients)
     height, width, channels = coefficients.shape
     strength = np.sqrt(((coefficients * channel_scale.astype(np.float32)) ** 2).sum(axis=-1))
     levels = max(0, int(np.floor(np.log2(max(1, min(height // 4, width // 8))))))
@@ -161,6 +165,7 @@ def texel_patches(
         basis: Spectra of the channels, shape [r, bands].
         to_world: Rotation from the light's frame, shape [3, 3].
     """
+    coefficients = refined(coefficients)
     height, width, rank = coefficients.shape
     rows, columns = _texel_integrals(height, width)
     area, *moments = (np.outer(row, column) for row, column in zip(rows, columns, strict=True))
@@ -210,6 +215,15 @@ class _Geometry:
     radius: NDArray[np.float32]
     half_azimuth: NDArray[np.float32]
     half_elevation: NDArray[np.float32]
+
+
+def refined(coefficients: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the same light on texels small enough to be flat: a constant patch divides exactly."""
+    height, width = coefficients.shape[:2]
+    rows, columns = -(-_LEAST_ROWS // height), -(-2 * _LEAST_ROWS // width)
+    if rows > 1:
+        coefficients = np.repeat(coefficients, rows, axis=0)
+    return np.repeat(coefficients, columns, axis=1) if columns > 1 else coefficients
 
 
 def _texel_integrals(height: int, width: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

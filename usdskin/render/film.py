@@ -56,8 +56,11 @@ def _best_generator(count: int) -> int:
     """Return the step of the rank-1 lattice whose points keep the farthest apart on the torus."""
     if count < 3:
         return 1
-    if count > 256:
-        return round(count * 0.6180339887498949) | 1
+    if count > 256:  # the golden ratio is good enough, and the search below is quadratic
+        step = round(count * 0.6180339887498949)
+        while np.gcd(step, count) != 1:
+            step += 1
+        return step
     index = np.arange(1, count)
     best, widest = 1, -1.0
     for step in range(1, count):

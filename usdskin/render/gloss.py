@@ -13,7 +13,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from usdskin.render.device import Workers
-from usdskin.render.environment import group_count
+from usdskin.render.environment import group_count, refined
 from usdskin.render.lights import DomeLight, Lights
 from usdskin.warp_kernels import specular, structs
 
@@ -144,7 +144,7 @@ def _pyramid(
     dome: DomeLight, blocks: NDArray[np.int64], group: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Return the texels of all levels and (offset, width, height) of each."""
-    image = _group_image(dome.coefficients, group)
+    image = _group_image(refined(dome.coefficients), group)
     for row, column, height, width in blocks:
         image[row : row + height, column : column + width] = 0.0
     images = [image]

@@ -99,7 +99,7 @@ def write_picture(
             files["exr"],
             parts,
             settings.compression,
-            pixel_aspect_ratio=product.pixel_aspect_ratio,
+            pixel_aspect_ratio=camera.pixel_aspect_ratio,
         )
         written.append(files["exr"])
     if "spectral" in files:
@@ -114,7 +114,7 @@ def write_picture(
             header,
             settings.compression,
             color_space=settings.color_space,
-            pixel_aspect_ratio=product.pixel_aspect_ratio,
+            pixel_aspect_ratio=camera.pixel_aspect_ratio,
         )
         written.append(files["spectral"])
     if "png" in files:

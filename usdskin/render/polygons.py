@@ -136,8 +136,8 @@ def _cut_quads(table: IndexArray, point: FloatArray) -> IndexArray:
     shorter = np.einsum("ij,ij->i", other, other) < np.einsum("ij,ij->i", diagonal, diagonal)
     use_other = np.where(inside == other_inside, shorter, other_inside)
     pattern = np.array([[0, 1, 2, 0, 2, 3], [0, 1, 3, 1, 2, 3]])
-    triangles = table[:, :1] + pattern[use_other.astype(np.intp)]
-    return triangles.reshape(-1, 3)
+    triangles: IndexArray = (table[:, :1] + pattern[use_other.astype(np.intp)]).reshape(-1, 3)
+    return triangles
 
 
 def _area_share(first: FloatArray, second: FloatArray, area: FloatArray) -> FloatArray:

@@ -12,12 +12,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.colorimetry import color_space_names, linear_color_space
+from usdskin.colorimetry import Observer, color_space_names, linear_color_space
 from usdskin.errors import LayerError, UsageError
 from usdskin.frames import frame_path, has_placeholder
 from usdskin.notes import Note
@@ -57,7 +57,7 @@ LEVEL_LIMIT = 8
 
 SEED_LIMIT = 2**31 - 1
 
-OBSERVERS = ("cie1931_2", "cie1964_10", "cie2015_2")
+OBSERVERS = get_args(Observer)
 PIXEL_FILTERS = ("box", "triangle", "gaussian", "blackmanHarris")
 DOMES = ("auto", "show", "hide")
 PURPOSES = ("default", "render", "proxy", "guide")
@@ -109,7 +109,7 @@ class RenderSettings:
     wavelength_nm: NDArray[np.float64]
     """Band centres [nm], shape [band_count]."""
 
-    observer: str
+    observer: Observer
     subdivision_level: int
     spectral_method: Literal["factorised", "brute"]
     color_space: str
@@ -125,7 +125,7 @@ class RenderSettings:
     mask: tuple[str, ...] | None
     """Paths of the prims whose geometry is rendered, with all below them; None for everything."""
 
-    illuminant: str
+    illuminant: str | None
     bad_pixels: Literal["error", "clamp"]
     ev: float | Literal["auto"]
     white: str
@@ -220,6 +220,10 @@ def read_settings(stage: Usd.Stage, overrides: RenderOverrides) -> RenderSetting
         UsageError: A flag's value is wrong, or names what the stage has not.
         LayerError: An authored value is wrong.
     """
+    if overrides.white is not None or overrides.view is not None:
+        from usdskin.render.preview import check_display  # loads OpenColorIO
+
+        check_display(overrides.white or "scene", overrides.view)
     prim = _settings_prim(stage, overrides.settings)
     if prim is None:
         return _read_settings(stage, (), overrides)
@@ -355,7 +359,7 @@ def _read_settings(
         prim_path=str(prims[0].GetPath()) if prims else None,
         spectral_method=given.spectral_method or "factorised",
         mask=_mask(stage, given.mask),
-        illuminant=given.illuminant or "D65",
+        illuminant=given.illuminant,
         bad_pixels=given.bad_pixels or "error",
         ev="auto" if given.ev is None else given.ev,
         white=given.white or "scene",
