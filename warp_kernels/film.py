@@ -122,11 +122,14 @@ def _finish_rows(
         y += wp.dot(materials.xyz_y[first + q], value)
         z += wp.dot(materials.xyz_z[first + q], value)
     film.xyza[pixel] = xyza + share * wp.vec4f(x, y, z, 0.0)
-    bands = film.spectrum.shape[1]
+    groups = film.spectrum.shape[1]
     for q in range(count):
         value = share * film.channel[pixel, q]
-        for band in range(bands):
-            film.spectrum[pixel, band] += wp.dot(materials.band[first + q, band], value)
+        at = 4 * (first + q)
+        for g in range(groups):
+            part = value[0] * materials.band[at, g] + value[1] * materials.band[at + 1, g]
+            part += value[2] * materials.band[at + 2, g] + value[3] * materials.band[at + 3, g]
+            film.spectrum[pixel, g] += part
         film.channel[pixel, q] = wp.vec4f(0.0, 0.0, 0.0, 0.0)
 
 
@@ -288,7 +291,7 @@ def _irradiance(lights: Lights, materials: Materials, point: Point) -> wp.vec3f:
     coordinates = latlong_coordinates(point.normal)
     total = wp.vec3f(0.0, 0.0, 0.0)
     for g in range(lights.group_count):
-        light = diffuse_light(lights, 0, 0, g, point.normal, coordinates)
+        light = diffuse_light(lights, 0, 1, g, point.normal, coordinates).lambert
         total += wp.vec3f(
             wp.dot(materials.xyz_x[first + g], light),
             wp.dot(materials.xyz_y[first + g], light),

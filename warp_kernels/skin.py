@@ -97,35 +97,63 @@ def _first_lamp(lights: Lights, group: wp.int32) -> wp.int32:
     return lights.lamp_end[group - 1]
 
 
+@wp.struct
+class DiffuseLight:
+    """The light of one channel group at a normal."""
+
+    lambert: wp.vec4f
+    """J1 [coefficient sr]."""
+
+    wrap: wp.vec4f
+    """J2 [coefficient sr]."""
+
+    front: wp.vec4f
+    """H [coefficient sr]."""
+
+
 @wp.func
 def diffuse_light(
-    lights: Lights, wrap_set: wp.int32, kernel: wp.int32, group: wp.int32, normal: wp.vec3f,
+    lights: Lights, wrap_set: wp.int32, kernels: wp.int32, group: wp.int32, normal: wp.vec3f,
     coordinates: wp.vec2f,
-) -> wp.vec4f:  # fmt: skip
-    """Return J1 (kernel 0), J2 (1) or H (2) at a normal: the smooth map and the lamps."""
-    total = wp.vec4f(0.0, 0.0, 0.0, 0.0)
-    offset = lights.map_offset[wrap_set, kernel, group]
+) -> DiffuseLight:  # fmt: skip
+    """Return the first ``kernels`` of J1, J2 and H at a normal: the smooth maps and the lamps."""
+    total = DiffuseLight()
+    offset = lights.map_offset[wrap_set, 0, group]
     if offset >= 0:
-        total = lookup_map(lights.map_value, offset, lights.map_rows[group], coordinates)
+        rows = lights.map_rows[group]
+        total.lambert = lookup_map(lights.map_value, offset, rows, coordinates)
+        if kernels > 1:
+            offset = lights.map_offset[wrap_set, 1, group]
+            total.wrap = lookup_map(lights.map_value, offset, rows, coordinates)
+        if kernels > 2:
+            offset = lights.map_offset[wrap_set, 2, group]
+            total.front = lookup_map(lights.map_value, offset, rows, coordinates)
     wrap = lights.wrap[wrap_set]
-    first = _first_lamp(lights, group)
-    part = wp.vec4f(0.0, 0.0, 0.0, 0.0)
-    for k in range(first, lights.lamp_end[group]):
+    narrow = 1.0 / (1.0 + wrap)
+    lambert = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    wrapped = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    front = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    for k in range(_first_lamp(lights, group), lights.lamp_end[group]):
         x = wp.dot(normal, lights.lamp_center[k])
         a = wp.dot(normal, lights.lamp_azimuth[k])
         b = wp.dot(normal, lights.lamp_elevation[k])
-        share = float(0.0)
-        if kernel == 0:
-            share = mean_ramp(x, a, b)
-        elif kernel == 1:
-            share = mean_ramp(x + wrap, a, b) / (1.0 + wrap)
-        else:
-            share = mean_step(x, a, b)
-        part += share * lights.lamp_flux[k]
+        flux = lights.lamp_flux[k]
+        lambert += mean_ramp(x, a, b) * flux
+        if kernels > 1:
+            wrapped += (mean_ramp(x + wrap, a, b) * narrow) * flux
+        if kernels > 2:
+            front += mean_step(x, a, b) * flux
         if k % 256 == 255:  # sums over half a million texels, one by one, would lose 4e-4
-            total += part
-            part = wp.vec4f(0.0, 0.0, 0.0, 0.0)
-    return total + part
+            total.lambert += lambert
+            total.wrap += wrapped
+            total.front += front
+            lambert = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+            wrapped = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+            front = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    total.lambert += lambert
+    total.wrap += wrapped
+    total.front += front
+    return total
 
 
 @wp.func
@@ -225,14 +253,15 @@ def shade_skin(
     if nodes > 0:
         thickness = read_input(geometry, materials, point, INPUT_THICKNESS)[0]
     coordinates = latlong_coordinates(point.normal)
+    kernels = wp.where(nodes > 0, 3, 2)
     span = bases * groups
     for g in range(groups):
-        j1 = diffuse_light(lights, wrap_set, 0, g, point.normal, coordinates)
-        j2 = diffuse_light(lights, wrap_set, 1, g, point.normal, coordinates)
+        light = diffuse_light(lights, wrap_set, kernels, g, point.normal, coordinates)
+        j1 = light.lambert
+        j2 = light.wrap
         back = wp.vec4f(0.0, 0.0, 0.0, 0.0)
         if nodes > 0:
-            hemisphere = diffuse_light(lights, wrap_set, 2, g, point.normal, coordinates)
-            front = (j1 + wrap * hemisphere) / (1.0 + wrap)
+            front = (j1 + wrap * light.front) / (1.0 + wrap)
             back = j2 - front
             j2 = front
         for j in range(bases):
@@ -247,9 +276,9 @@ def shade_skin(
         mirror = wp.normalize(2.0 * nv * point.normal - point.view)
         toward = latlong_coordinates(mirror)
         for g in range(groups):
-            light = (1.0 - lobes[3]) * _lobe(lights, g, lobes[1], point, nv, toward, f0, 1.0)
-            light += lobes[3] * _lobe(lights, g, lobes[2], point, nv, toward, f0, 1.0)
-            film.channel[pixel, (2 + nodes) * span + g] += (weight * lobes[0]) * light
+            shine = (1.0 - lobes[3]) * _lobe(lights, g, lobes[1], point, nv, toward, f0, 1.0)
+            shine += lobes[3] * _lobe(lights, g, lobes[2], point, nv, toward, f0, 1.0)
+            film.channel[pixel, (2 + nodes) * span + g] += (weight * lobes[0]) * shine
 
 
 @wp.func
@@ -300,7 +329,7 @@ def shade_preview_surface(
     zero = wp.vec4f(0.0, 0.0, 0.0, 0.0)
     wrap_set = materials.wrap_set[m]
     for g in range(groups):
-        j1 = diffuse_light(lights, wrap_set, 0, g, point.normal, coordinates)
+        j1 = diffuse_light(lights, wrap_set, 1, g, point.normal, coordinates).lambert
         for j in range(bases):
             film.channel[pixel, j * groups + g] += (diffuse * _base_weight(base, zero, j)) * j1
     row = bases * groups

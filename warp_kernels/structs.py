@@ -171,7 +171,8 @@ class Materials:
     """(levels, wrap s, wrap t), shape [texture_count]."""
 
     band: wp.array2d[wp.vec4f]
-    """Spectrum of each row's four channels [radiance per coefficient], shape [row_count, bands]."""
+    """Spectra of each row's four channels, one after the other, bands in groups of four [radiance
+    per coefficient], shape [4 row_count, band_groups]."""
 
     xyz_x: wp.array[wp.vec4f]
     xyz_y: wp.array[wp.vec4f]
@@ -195,8 +196,9 @@ class Film:
     xyza: wp.array[wp.vec4f]
     """Result: XYZ and alpha, shape [tile_pixels]."""
 
-    spectrum: wp.array2d[wp.float32]
-    """Result: spectral radiance, shape [tile_pixels, bands], or [0, 0] when not wanted."""
+    spectrum: wp.array2d[wp.vec4f]
+    """Result: spectral radiance, bands in groups of four, shape [tile_pixels, band_groups], or
+    [tile_pixels, 0] when not wanted."""
 
     show_dome: wp.int32
 

@@ -6,7 +6,7 @@ Writes: ``/<Name>`` (Xform, default prim), ``/<Name>/mesh`` with a GeomSubset fo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -59,6 +59,8 @@ def write_asset(
     *,
     notes: list[Note] | None = None,
     settings: Mapping[str, SettingValue] | None = None,
+    inputs: Sequence[Path] | None = None,
+    step: str = "importMesh",
 ) -> Path:
     """Write a mesh as a USD asset.
 
@@ -70,6 +72,8 @@ def write_asset(
         options: How.
         notes: Takes what was assumed.
         settings: What the step was told, for the layer's provenance.
+        inputs: Files the mesh came from; by default its source and companions.
+        step: Who writes it, for the provenance.
 
     Returns:
         ``output``, once it is complete on disk.
@@ -96,8 +100,8 @@ def write_asset(
     _write_materials(stage, f"/{name}/materials", usd_mesh, mesh, output, options.skin, notes)
     record_provenance(
         stage,
-        "importMesh",
-        [mesh.source, *mesh.companions],
+        step,
+        [mesh.source, *mesh.companions] if inputs is None else inputs,
         {"scheme": scheme, **(settings or {})},
         output.parent,
     )

@@ -55,7 +55,7 @@ def write_material(
     if texture is not None:
         spectra.pop("reflectance", None)
     elif given.diffuse_color is not None and is_skin:
-        spectra["reflectance"] = _lifted(given.diffuse_color)
+        spectra["reflectance"] = lifted_spectrum(given.diffuse_color)
     color = given.diffuse_color
     if color is None and "reflectance" in spectra:
         color = _rgb(spectra["reflectance"])
@@ -103,12 +103,13 @@ def reference_spectra() -> dict[str, Spectrum]:
     }
 
 
-def _lifted(color: Color) -> Spectrum:
-    """Return the reflectance of an RGB color, exact under D65 where it stays from 0 to 1."""
-    values = np.clip(
-        np.asarray(color) @ reflectance_basis(DEFAULT_WAVELENGTHS_NM, _SPACE), 0.0, 1.0
-    )
-    return Spectrum(SpectralQuantity.REFLECTANCE, DEFAULT_WAVELENGTHS_NM, values)
+def lifted_spectrum(
+    color: Color, quantity: SpectralQuantity = SpectralQuantity.REFLECTANCE
+) -> Spectrum:
+    """Return the spectrum of a linear Rec.709 color, exact under D65 where it is from 0 to 1."""
+    basis = reflectance_basis(DEFAULT_WAVELENGTHS_NM, _SPACE)
+    values = np.clip(np.asarray(color) @ basis, 0.0, 1.0)
+    return Spectrum(quantity, DEFAULT_WAVELENGTHS_NM, values)
 
 
 def _rgb(reflectance: Spectrum) -> Color:

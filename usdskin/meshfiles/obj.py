@@ -92,7 +92,7 @@ def _read_points(
     if odd.any():
         index = int(lines[np.flatnonzero(odd)[0]])
         raise statements.error(index, f"a vertex has {statements.tokens[index]} numbers, not 3")
-    flat = np.asarray(statements.numbers(lines, np.float64), dtype=np.float64)
+    flat = statements.numbers(lines, np.float64, int(widths.sum()))
     start = np.cumsum(widths) - widths
     points = flat[start[:, None] + np.arange(3)]
     _refuse_wild(statements, lines, points, "vertex")
@@ -119,7 +119,7 @@ def _read_vectors(
     if odd.any():
         index = int(lines[np.flatnonzero(odd)[0]])
         raise statements.error(index, f"{what}: {statements.tokens[index]} numbers, not {width}")
-    flat = np.asarray(statements.numbers(lines, np.float64), dtype=np.float64)
+    flat = statements.numbers(lines, np.float64, int(widths.sum()))
     values = np.zeros((len(lines), width))
     start = np.cumsum(widths) - widths
     for column in range(width):
@@ -169,9 +169,11 @@ def _read_faces(
     for columns, faces in _by_form(statements, lines, counts):
         chosen, spans = lines[faces], counts[faces]
         text = statements.gather(chosen).replace(b"/", b" ")
-        flat = np.asarray(statements.numbers(chosen, np.int64, text), dtype=np.int64)
-        if len(flat) != int(spans.sum()) * len(columns):
-            raise _first_odd_face(statements, chosen)
+        expected = int(spans.sum()) * len(columns)
+        try:
+            flat = statements.numbers(chosen, np.int64, expected, text)
+        except MeshError as error:
+            raise _first_odd_face(statements, chosen) or error from None
         within = np.arange(spans.sum()) - np.repeat(np.cumsum(spans) - spans, spans)
         where = np.repeat(corner_start[faces], spans) + within
         corners[where[:, None], np.array(columns)] = flat.reshape(-1, len(columns))
@@ -194,11 +196,14 @@ def _by_form(
     }
     odd = ~np.logical_or.reduce(list(forms.values()))
     if odd.any():
-        raise _first_odd_face(statements, lines[odd])
+        raise _first_odd_face(statements, lines[odd]) or statements.error(
+            int(lines[odd][0]), "a face is not of the form v, v/vt, v//vn or v/vt/vn"
+        )
     return [(columns, np.flatnonzero(held)) for columns, held in forms.items() if held.any()]
 
 
-def _first_odd_face(statements: Statements, lines: NDArray[np.int64]) -> MeshError:
+def _first_odd_face(statements: Statements, lines: NDArray[np.int64]) -> MeshError | None:
+    """Return what is wrong with the first face whose corners are of no form, or of several."""
     for index in lines:
         forms = set()
         for word in statements.line(int(index)).split():
@@ -209,7 +214,7 @@ def _first_odd_face(statements: Statements, lines: NDArray[np.int64]) -> MeshErr
             forms.add(tuple(bool(part) for part in parts))
         if len(forms) > 1:
             return statements.error(int(index), "the corners of a face differ in form")
-    return MeshError(f"{statements.path}: its faces cannot be read; export the mesh again")
+    return None
 
 
 def _resolve(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,9 @@ from usdskin.errors import MeshError
 
 OTHER, VERTEX, TEXTURE, NORMAL, FACE, NAMING = range(6)
 """Kinds of statements; ``OTHER`` also holds empty lines."""
+
+_WHOLE = re.compile(rb"[+-]?\d{1,18}")
+_NUMBER = re.compile(rb"(?i)[+-]?(\d+\.?\d*(e[+-]?\d+)?|\.\d+(e[+-]?\d+)?|nan|inf(inity)?)")
 
 _KEYWORDS = {b"v": VERTEX, b"vt": TEXTURE, b"vn": NORMAL, b"f": FACE}
 _NAMING = (b"g", b"o", b"s", b"usemtl", b"mtllib")
@@ -66,40 +71,46 @@ class Statements:
         return counted
 
     def numbers(
-        self, lines: NDArray[np.int64], dtype: type, text: bytes = b""
-    ) -> NDArray[np.generic]:
+        self, lines: NDArray[np.int64], dtype: type, count: int, text: bytes = b""
+    ) -> NDArray[Any]:
         """Return the numbers on some lines, one after another.
 
         Args:
             lines: Lines that hold nothing but numbers.
             dtype: float64 or int64.
+            count: How many there must be.
             text: Their text where it is not ``gather(lines)``.
 
         Raises:
             MeshError: A word is no such number; the message names the line.
         """
-        text = text or self.gather(lines)
-        if not len(lines) or not text.strip():
+        if not count:
             return np.zeros(0, dtype=dtype)
         try:
             with warnings.catch_warnings():
-                # Before numpy 2.3 a word that is no number gives a warning.
+                # Older numpy warns of a word that is no number, where newer raises.
                 warnings.simplefilter("error", DeprecationWarning)
-                return np.fromstring(text, dtype=dtype, sep=" ")
+                found: NDArray[Any] = np.fromstring(
+                    text or self.gather(lines), dtype=dtype, sep=" "
+                )
         except (ValueError, DeprecationWarning):
-            self._refuse_first_bad_word(lines, dtype)
-            raise
+            raise self._bad_word(lines, dtype) from None
+        # "1-2" is one word, and two numbers to numpy.
+        if len(found) != count:
+            raise self._bad_word(lines, dtype)
+        return found
 
-    def _refuse_first_bad_word(self, lines: NDArray[np.int64], dtype: type) -> None:
-        parse = float if dtype is np.float64 else int
+    def _bad_word(self, lines: NDArray[np.int64], dtype: type) -> MeshError:
+        whole = dtype is np.int64
+        pattern = _WHOLE if whole else _NUMBER
         for index in lines:
-            for word in self.line(int(index)).replace(b"/", b" ").split():
-                try:
-                    parse(word)
-                except ValueError:
+            line = self.line(int(index))
+            for word in (line.replace(b"/", b" ") if whole else line).split():
+                if not pattern.fullmatch(word):
                     shown = word[:20].decode("utf-8", "replace")
-                    what = "a number" if parse is float else "a whole number"
-                    raise self.error(int(index), f"{shown!r} is not {what}") from None
+                    what = "a whole number" if whole else "a number"
+                    return self.error(int(index), f"{shown!r} is not {what}")
+        return self.error(int(lines[0]), "the numbers from here on cannot be read")
 
     def error(self, index: int, problem: str) -> MeshError:
         """Return an error that names the file and the line."""

@@ -50,8 +50,8 @@ class TextureInput:
     st_matrix: NDArray[np.float64] = field(default_factory=lambda: np.eye(2, 3))
     """Map from the primvar to the picture's coordinates [1], shape [2, 3]."""
 
-    channels: tuple[int, ...] | None = None
-    """Channels of the file to take, up to four, for files of weights; None takes its R, G, B, A."""
+    first_channel: int = 0
+    """Channel of the file that comes first, for files of more than four weights."""
 
     def texture_key(self) -> Hashable:
         """Return what two inputs share when they share the decoded picture."""
@@ -62,7 +62,7 @@ class TextureInput:
             self.bias,
             self.wrap_s,
             self.wrap_t,
-            self.channels,
+            self.first_channel,
         )
 
 

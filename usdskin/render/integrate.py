@@ -16,6 +16,7 @@ from usdskin.progress import Progress
 from usdskin.render.cameras import Camera
 from usdskin.render.device import Workers
 from usdskin.render.film import sample_offsets
+from usdskin.render.surfaces import band_groups
 from usdskin.warp_kernels import film, structs
 
 TILE_PIXELS = 16384
@@ -106,7 +107,7 @@ def integrate(
     offsets = wp.array(sample_offsets(samples, pixel_filter), dtype=wp.vec2f, device=device)
     xyza = np.zeros((count, 4), np.float32)
     bands = scene.band_count if spectral else 0
-    spectrum = np.zeros((count, bands), np.float32)
+    spectrum = np.zeros((count, band_groups(bands), 4), np.float32)
     on_host = device == "cpu"
 
     def work(begin: int, end: int) -> None:
@@ -118,11 +119,12 @@ def integrate(
         if on_host:  # the kernel writes into the picture itself
             tile.xyza = wp.array(xyza[begin:end], dtype=wp.vec4f, device=device, copy=False)
             tile.spectrum = wp.array(
-                spectrum[begin:end], dtype=wp.float32, device=device, copy=False
+                spectrum[begin:end], dtype=wp.vec4f, device=device, copy=False
             )
         else:
             tile.xyza = wp.zeros(end - begin, dtype=wp.vec4f, device=device)
-            tile.spectrum = wp.zeros((end - begin, bands), dtype=wp.float32, device=device)
+            shape = (end - begin, band_groups(bands))
+            tile.spectrum = wp.zeros(shape, dtype=wp.vec4f, device=device)
         film.render_tile(scene.geometry, rays, scene.lights, scene.materials, tile)
         if not on_host:
             xyza[begin:end] = tile.xyza.numpy()
@@ -136,7 +138,7 @@ def integrate(
     progress.done()
     return Picture(
         xyza.reshape(height, width, 4),
-        spectrum.reshape(height, width, bands) if spectral else None,
+        spectrum.reshape(height, width, -1)[:, :, :bands] if spectral else None,
     )
 
 

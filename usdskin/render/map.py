@@ -18,7 +18,6 @@ from usdskin import __version__
 from usdskin.colorimetry import xyz_to_rgb, xyz_weights
 from usdskin.errors import LayerError, UsageError
 from usdskin.image_output import write_spectral_exr
-from usdskin.layers import open_stage
 from usdskin.notes import Note
 from usdskin.prims import SkinParameters
 from usdskin.progress import Progress
@@ -27,12 +26,13 @@ from usdskin.render.environment import latlong_directions
 from usdskin.render.light_maps import build_light_field
 from usdskin.render.lights import Lights, read_lights
 from usdskin.render.materials import SkinMaterial, read_materials
+from usdskin.render.opening import opened
 from usdskin.render.overrides import MapOverrides, RenderOverrides
 from usdskin.render.preview import render_png
 from usdskin.render.scene import mean_white
 from usdskin.render.settings import RenderReport, RenderSettings, read_settings
 from usdskin.render.surface_rows import SpectralFrame, wraps_of
-from usdskin.render.surfaces import build_surfaces
+from usdskin.render.surfaces import band_groups, build_surfaces
 from usdskin.warp_kernels import film, structs
 
 # isort: split
@@ -62,27 +62,31 @@ def write_map(
     """
     begun = clock.perf_counter()
     notes: list[Note] = []
-    stage = open_stage(layer_path, notes)
-    settings = read_settings(
-        stage,
-        RenderOverrides(
-            wavelength_nm=overrides.wavelength_nm,
-            observer=overrides.observer,
-            illuminant=overrides.illuminant,
-            bad_pixels=overrides.bad_pixels,
-            ev=overrides.ev,
-            white=overrides.white,
-            view=overrides.view,
-            threads=overrides.threads,
-            device=overrides.device,
-        ),
-    )
-    time = Usd.TimeCode.EarliestTime() if overrides.frame is None else Usd.TimeCode(overrides.frame)
-    lights = _chosen_lights(stage, time, settings, overrides.light_prim, notes)
-    skin = _chosen_skin(stage, time, settings, overrides, notes)
-    frame = SpectralFrame(
-        settings.wavelength_nm, settings.observer, lights.absolute, settings.color_space
-    )
+    with opened(layer_path, notes) as stage:
+        settings = read_settings(
+            stage,
+            RenderOverrides(
+                wavelength_nm=overrides.wavelength_nm,
+                observer=overrides.observer,
+                illuminant=overrides.illuminant,
+                bad_pixels=overrides.bad_pixels,
+                ev=overrides.ev,
+                white=overrides.white,
+                view=overrides.view,
+                threads=overrides.threads,
+                device=overrides.device,
+            ),
+        )
+        time = (
+            Usd.TimeCode.EarliestTime()
+            if overrides.frame is None
+            else Usd.TimeCode(overrides.frame)
+        )
+        lights = _chosen_lights(stage, time, settings, overrides.light_prim, notes)
+        skin = _chosen_skin(stage, time, settings, overrides, notes)
+        frame = SpectralFrame(
+            settings.wavelength_nm, settings.observer, lights.absolute, settings.color_space
+        )
     width = overrides.width or DEFAULT_WIDTH
     if width < 4 or width > 8192 or width % 2:
         raise UsageError(f"-w/--width {width}: must be an even number from 4 to 8192.")
@@ -205,9 +209,11 @@ def _shade(
             (end - begin, surfaces.max_rows), dtype=wp.vec4f, device=workers.device
         )
         tile.xyza = wp.zeros(end - begin, dtype=wp.vec4f, device=workers.device)
-        tile.spectrum = wp.zeros((end - begin, bands), dtype=wp.float32, device=workers.device)
+        tile.spectrum = wp.zeros(
+            (end - begin, band_groups(bands)), dtype=wp.vec4f, device=workers.device
+        )
         film.shade_normals(normal, light.device_lights, surfaces.device_materials, tile)
-        spectrum[begin:end] = tile.spectrum.numpy()
+        spectrum[begin:end] = tile.spectrum.numpy().reshape(end - begin, -1)[:, :bands]
 
     workers.run(len(normals), 8192 if workers.device == "cpu" else len(normals), work)
     weights = xyz_weights(frame.wavelength_nm, frame.observer, frame.absolute)

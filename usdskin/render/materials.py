@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from usdskin.errors import LayerError
 from usdskin.layers import describe
@@ -279,7 +278,13 @@ def _read_skin_material(
             "remove one of them"
         )
     if parameters.albedo_file is not None:
-        albedo = _skin_texture(parameters, parameters.albedo_file, "rgb")
+        albedo = TextureInput(
+            str(parameters.albedo_file),
+            source_color_space=parameters.albedo_color_space,
+            wrap_s="repeat",
+            wrap_t="repeat",
+            primvar=parameters.texcoord,
+        )
     weights, high = _weights(prim, parameters)
     # Without opacity light from behind passes unweakened, however long its way.
     opaque = isinstance(parameters.opacity, Spectrum) or parameters.opacity > 0.0
@@ -299,23 +304,16 @@ def _weights(
             f"{describe(prim)}: inputs:skin:weights:basis has {count} spectra; give 1 to "
             f"{WEIGHTS_LIMIT} for the weights texture to multiply"
         )
-    low, high = tuple(range(min(count, 4))), tuple(range(4, count))
     first, rest = (
-        _skin_texture(parameters, parameters.weights_file, "rgba", channels)
-        for channels in (low, high)
+        TextureInput(
+            str(parameters.weights_file),
+            "rgba",
+            source_color_space="raw",
+            wrap_s="repeat",
+            wrap_t="repeat",
+            primvar=parameters.texcoord,
+            first_channel=channel,
+        )
+        for channel in (0, 4)
     )
-    return first, rest if high else None
-
-
-def _skin_texture(
-    parameters: SkinParameters, file: Path, channel: str, channels: tuple[int, ...] | None = None
-) -> TextureInput:
-    return TextureInput(
-        str(file),
-        channel,
-        source_color_space="raw" if channels else parameters.albedo_color_space,
-        wrap_s="repeat",
-        wrap_t="repeat",
-        primvar=parameters.texcoord,
-        channels=channels,
-    )
+    return first, rest if count > 4 else None

@@ -11,13 +11,13 @@ from pathlib import Path
 
 from usdskin.errors import FramesError, UsdSkinError
 from usdskin.frames import frame_path
-from usdskin.layers import open_stage
 from usdskin.notes import Note
 from usdskin.progress import Progress
 from usdskin.render.cameras import read_camera
 from usdskin.render.device import Workers, open_workers
 from usdskin.render.integrate import DeviceScene, collect_data, integrate
 from usdskin.render.light_maps import LightField
+from usdskin.render.opening import opened
 from usdskin.render.outputs import Shot, write_picture
 from usdskin.render.overrides import RenderOverrides, apply_overrides
 from usdskin.render.products import Product
@@ -44,23 +44,23 @@ def render_stage(
         UsdSkinError: The stage, an option or a file cannot be used, and no frame was rendered.
     """
     begun = clock.perf_counter()
-    notes: list[Note] = []
-    stage = open_stage(stage_path, notes)
-    apply_overrides(stage, overrides)
-    job = resolve_settings(stage, overrides, output, notes)
-    workers = open_workers(job.settings.device, job.settings.threads)
-    report = RenderReport([], notes, {"open": clock.perf_counter() - begun})
-    for frame in job.frames:
-        try:
-            _render_frame(stage, job, frame, workers, progress, report)
-        except UsdSkinError as error:
-            if len(job.frames) == 1:
-                raise
-            report.failures[f"{frame.number:g}"] = str(error)
+    report = RenderReport([], [])
+    with opened(stage_path, report.notes) as stage:
+        apply_overrides(stage, overrides)
+        job = resolve_settings(stage, overrides, output, report.notes)
+        workers = open_workers(job.settings.device, job.settings.threads)
+        _lap(report.seconds, "open", begun)
+        for frame in job.frames:
+            try:
+                _render_frame(stage, job, frame, workers, progress, report)
+            except UsdSkinError as error:
+                if len(job.frames) == 1:
+                    raise
+                report.failures[f"{frame.number:g}"] = str(error)
     if report.failures and len(report.failures) == len(job.frames):
         number, reason = next(iter(report.failures.items()))
         raise FramesError(f"every frame failed; the first, {number}: {reason}")
-    _drop_repeated(notes)
+    _drop_repeated(report.notes)
     return report
 
 

@@ -75,6 +75,11 @@ def build_surfaces(
     return _upload(rows, frame, wraps, primvars, device)
 
 
+def band_groups(bands: int) -> int:
+    """Return how many groups of four hold that many bands."""
+    return -(-bands // 4)
+
+
 @dataclass(slots=True, eq=False)
 class _Slots:
     """Texture and primvar slots, and the textures they share."""
@@ -141,9 +146,9 @@ def _upload(
             weighed = row.weighs and which in (structs.INPUT_BASE, structs.INPUT_BASE_HIGH)
             slot[m, which] = slots.add(value, len(row.bases) if weighed else 0)
     counts = np.array([len(row.rows) for row in rows], np.int32)
-    spectra = np.concatenate([np.stack(row.rows) for row in rows]).transpose(0, 2, 1)
+    spectra = np.concatenate([np.stack(row.rows) for row in rows])
     weights = xyz_weights(frame.wavelength_nm, frame.observer, frame.absolute)
-    xyz = np.einsum("rbc,bx->xrc", spectra, weights)
+    xyz = np.einsum("rcb,bx->xrc", spectra, weights)
     nodes = np.zeros((len(rows), max(1, *(len(row.nodes) for row in rows))))
     for m, row in enumerate(rows):
         nodes[m, : len(row.nodes)] = row.nodes
@@ -174,7 +179,10 @@ def _upload(
     target.texture_border = floats(packed.borders, wp.vec4f)
     target.texture_level = wp.array(packed.levels, dtype=wp.vec3i, device=device)
     target.texture_info = wp.array(packed.info, dtype=wp.vec3i, device=device)
-    target.band = floats(spectra, wp.vec4f)
+    bands = spectra.shape[2]
+    padded = np.zeros((4 * len(spectra), 4 * band_groups(bands)))
+    padded[:, :bands] = spectra.reshape(-1, bands)
+    target.band = floats(padded.reshape(len(padded), -1, 4), wp.vec4f)
     target.xyz_x, target.xyz_y, target.xyz_z = (floats(part, wp.vec4f) for part in xyz)
     white = illuminant("D65", frame.wavelength_nm)
     to_rgb = (
