@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from usdskin.warp_kernels.lookup import lookup_fresnel, lookup_gloss, sample_texture
-from usdskin.warp_kernels.lookup import latlong_coordinates
+from usdskin.warp_kernels.lookup import (
+    latlong_coordinates,
+    lookup_fresnel,
+    lookup_gloss,
+    sample_texture,
+)
 from usdskin.warp_kernels.reflectance_map import mean_ramp, mean_step
 from usdskin.warp_kernels.structs import Lights, Materials
 

@@ -116,8 +116,10 @@ def test_prefiltered_light_is_the_lobes_average(device):
     rows, columns = 64, 128
     polar = np.pi * (np.arange(rows) + 0.5) / rows
     turns = (np.arange(columns) + 0.5) / columns
-    sky = 1.0 + 0.5 * np.cos(polar)[:, None] + 0.3 * np.sin(polar)[:, None] * np.sin(
-        2 * np.pi * turns
+    sky = (
+        1.0
+        + 0.5 * np.cos(polar)[:, None]
+        + 0.3 * np.sin(polar)[:, None] * np.sin(2 * np.pi * turns)
     )
     alpha = 0.16
     field = _gloss_field(np.repeat(sky[:, :, None], 3, axis=2), (alpha,), device)

@@ -52,9 +52,10 @@ class Oracle:
     """
 
     def __init__(self, values: NDArray, to_world: FloatArray):
-        self.values = values.astype(np.float64)
+        finer = -(-64 // len(values))  # small texels are flat, and a split one is not missed
+        self.values = values.astype(np.float64).repeat(finer, axis=0).repeat(finer, axis=1)
         self.to_world = to_world
-        height, width = values.shape[:2]
+        height, width = self.values.shape[:2]
         x, w = np.polynomial.legendre.leggauss(6)
         step_polar, step = np.pi / height, 2.0 * np.pi / width
         polar = step_polar * (np.arange(height)[:, None] + 0.5 + 0.5 * x)
@@ -209,33 +210,34 @@ def _look_up_kernel(
     lights: structs.Lights,
     normal: wp.array[wp.vec3f],
     wrap_set: wp.int32,
-    kernel: wp.int32,
-    light_out: wp.array2d[wp.vec4f],
+    light_out: wp.array3d[wp.vec4f],
 ):
-    """Read J1, J2 or H as the picture kernels do. Launch dimension: [normal_count]."""
+    """Read J1, J2 and H as the picture kernels do. Launch dimension: [normal_count]."""
     i = wp.tid()
     n = normal[i]
     for group in range(lights.group_count):
-        light_out[group, i] = diffuse_light(
-            lights, wrap_set, kernel, group, n, latlong_coordinates(n)
-        )
+        light = diffuse_light(lights, wrap_set, 3, group, n, latlong_coordinates(n))
+        light_out[0, i, group] = light.lambert
+        light_out[1, i, group] = light.wrap
+        light_out[2, i, group] = light.front
 
 
 def look_up(
-    field: LightField, normals: NDArray, wrap_set: int, kernel: int, device: str
+    field: LightField, normals: NDArray, wrap_set: int, channels: int, device: str
 ) -> FloatArray:
-    """J1 (kernel 0), J2 (1) or H (2) at normals, all groups' channels side by side."""
+    """J1, J2 and H at normals, shape [3, count, channels]."""
     groups = field.device_lights.group_count
-    out = wp.zeros((groups, len(normals)), dtype=wp.vec4f, device=device)
+    out = wp.zeros((3, len(normals), groups), dtype=wp.vec4f, device=device)
     given = wp.array(normals.astype(np.float32), dtype=wp.vec3f, device=device)
     wp.launch(
         _look_up_kernel,
         dim=len(normals),
-        inputs=[field.device_lights, given, wrap_set, kernel],
+        inputs=[field.device_lights, given, wrap_set],
         outputs=[out],
         device=device,
     )
-    return out.numpy().astype(np.float64).transpose(1, 0, 2).reshape(len(normals), -1)
+    values = out.numpy().astype(np.float64).reshape(3, len(normals), -1)
+    return values[:, :, :channels]
 
 
 @pytest.fixture(scope="module", params=["cpu", "cuda"])

@@ -324,6 +324,26 @@ def test_broken_subdivision_tags_are_refused(change, message):
         read(mesh, level=1)
 
 
+@pytest.mark.parametrize(
+    ("opinion", "message"),
+    [
+        ('string[] points = ["a", "b"]', "points does not hold rows of 3 numbers"),
+        ("float[] points = [1, 2, 3]", "points does not hold rows of 3 numbers"),
+        ('string points = "x"', "points does not hold rows of 3 numbers"),
+        ("float[] faceVertexCounts = [3]", "faceVertexCounts does not hold whole numbers"),
+        ("int faceVertexIndices = 3", "faceVertexIndices does not hold whole numbers"),
+        ('string[] normals = ["a"]', "normals does not hold rows of 3 numbers"),
+    ],
+)
+def test_opinion_of_another_type_is_refused(opinion, message):
+    mesh = define([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [[0, 1, 2]])
+    stronger = Sdf.Layer.CreateAnonymous(".usda")
+    stronger.ImportFromString(f'#usda 1.0\nover "World" {{\n over "Mesh" {{\n {opinion}\n }}\n}}\n')
+    mesh.stage.GetSessionLayer().TransferContent(stronger)
+    with pytest.raises(MeshError, match=message):
+        read(mesh)
+
+
 def test_crease_off_the_mesh_is_noted():
     notes = []
     mesh = define(

@@ -133,7 +133,8 @@ def lobed_map(rows: int = 32) -> np.ndarray:
 
 def rgb_dome(tmp_path: Path, body: str = "") -> str:
     """Return a dome with the lobed map."""
-    write_exr(tmp_path / "map.exr", [Part("rgb", {"": lobed_map()}, color_space="lin_rec709_scene")])
+    part = Part("rgb", {"": lobed_map()}, color_space="lin_rec709_scene")
+    write_exr(tmp_path / "map.exr", [part])
     return f"""
     def DomeLight "Dome"
     {{
@@ -272,9 +273,7 @@ def test_light_from_behind_is_weakened_by_the_body(tmp_path):
     inside = beauty[..., 3] == 1.0
     back = WRAP**2 / (1.0 + WRAP)
     passed = (1.0 + WRAP) - back * (1.0 - np.exp(-delta * thickness))
-    np.testing.assert_allclose(
-        spectrum[inside], 0.01 * ALPHA * S * (1.0 + SS * passed), rtol=1e-4
-    )
+    np.testing.assert_allclose(spectrum[inside], 0.01 * ALPHA * S * (1.0 + SS * passed), rtol=1e-4)
 
 
 @pytest.mark.parametrize("weight", [0.0, 1.0])

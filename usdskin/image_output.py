@@ -202,15 +202,20 @@ def replacing(path: str | Path) -> Iterator[str]:
     temporary = path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
     try:
         if path.is_dir():
-            raise ImageError(f"{path}: cannot write; it is a folder.")
+            raise ImageError(f"{path}: cannot write; it is a folder, so choose another name.")
         if not path.parent.is_dir():
-            raise ImageError(f"{path}: cannot write; the folder {path.parent} does not exist.")
+            raise ImageError(
+                f"{path}: cannot write; the folder {path.parent} does not exist, so make it first."
+            )
         yield str(temporary)
         with open(temporary, "rb") as file:
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as error:
-        raise ImageError(f"{path}: cannot write; {error.strerror or error}.") from error
+        raise ImageError(
+            f"{path}: cannot write; {error.strerror or error}; check the folder's permissions and "
+            "free space."
+        ) from error
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -280,7 +285,7 @@ def _write_rasters(
                     raise ImageError(f"{path}: cannot write; {_reason(output, temporary)}.")
         finally:
             closed = output.close()
-        if not closed:
+        if not (closed and _is_complete(temporary)):
             raise ImageError(f"{path}: cannot write; {_reason(output, temporary)}.")
 
 
@@ -302,6 +307,29 @@ def _write_rows(output: Any, spec: Any, raster: _Raster) -> bool:
     return True
 
 
+def _is_complete(file: str) -> bool:
+    """Return whether the last chunk of every part is there.
+
+    OpenImageIO closes a file as if all were well when the disk is too full for its last buffer.
+    """
+    source = OpenImageIO.ImageInput.open(file)
+    if source is None:
+        OpenImageIO.geterror()  # else it is printed when the process ends
+        return False
+    try:
+        index = 0
+        while source.seek_subimage(index, 0):
+            spec = source.spec()
+            last = spec.y + spec.height
+            if source.read_scanlines(index, 0, last - 1, last, 0, 0, 1, "float") is None:
+                return False
+            index += 1
+        source.geterror()  # of the seek beyond the last part
+        return index > 0
+    finally:
+        source.close()
+
+
 def _set_attributes(spec: Any, attributes: Mapping[str, Any]) -> None:
     for name, value in attributes.items():
         if isinstance(value, np.ndarray) and value.shape == (4, 4):
@@ -319,4 +347,7 @@ def _reason(output: Any, temporary: str) -> str:
         lines = output.geterror().splitlines()
     except UnicodeDecodeError:
         lines = []
-    return lines[0].replace(f' "{temporary}"', "") if lines else "the file could not be completed"
+    if not lines:
+        return "the file could not be completed; check the free space"
+    reason = str(lines[0]).replace(f' "{temporary}"', "").rstrip(". ")
+    return f"{reason}; check the free space"

@@ -21,6 +21,7 @@ import OpenImageIO
 from numpy.typing import NDArray
 
 from usdskin.errors import ImageError
+from usdskin.image_damage import find_damage
 from usdskin.image_output import (
     CHROMATICITIES,
     HALF_MAX,
@@ -51,6 +52,8 @@ __all__ = [
 FloatArray = NDArray[np.float32]
 
 _PACKAGE = re.compile(r"^(?P<package>.*\.usdz)\[(?P<member>[^\[\]]+)\]$", re.IGNORECASE)
+_REMEDY = "; restore a good copy or export it again"
+_TOO_LARGE = re.compile(r"exceeds the \d+ MB limit")
 _ROWS_PER_BLOCK = 64
 _CHROMATICITY_TOLERANCE = 1e-3  # as OpenEXR's chromaticitiesToColorInteropID
 
@@ -206,6 +209,9 @@ def _opened(path: str | Path, max_mb: int | None) -> Iterator[Any]:
             if not os.path.isfile(file):
                 what = "it is a folder" if os.path.isdir(file) else "no such file"
                 raise ImageError(f"{path}: cannot read; {what}.")
+            damage = find_damage(file)
+            if damage is not None:
+                raise ImageError(f"{path}: cannot read; {damage}{_REMEDY}.")
             OpenImageIO.attribute("try_all_readers", 0)
             OpenImageIO.attribute("limits:imagesize_MB", max_mb or 2**30)
             as_stored = OpenImageIO.ImageSpec()
@@ -371,11 +377,14 @@ def _reason(owner: Any, file: str) -> str:
     except UnicodeDecodeError:
         lines = []
     if not lines:
-        return "it is broken or not an image"
+        return f"it is broken or not an image{_REMEDY}"
     line = re.sub(r"^EXR Error \([^)]*\): (EXR_ERR\w* )?", "", lines[0])
     if "format reader" in line or "not the name of an image format" in line:
-        return "not an image of a known format"
-    return str(line.replace(file, "file")).rstrip(". ")
+        return "not an image of a known format; convert it to EXR, TIFF or PNG"
+    # OpenEXR tells the magic number and flags, libraries the file's name: neither helps.
+    line = re.sub(r": magic 0x.*", "", line)
+    reason = line.replace(f' "{file}"', "").replace(file, "file").rstrip(". ")
+    return f"{reason}; make it smaller" if _TOO_LARGE.search(reason) else f"{reason}{_REMEDY}"
 
 
 def _first_line(error: BaseException) -> str:

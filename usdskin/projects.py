@@ -33,18 +33,18 @@ TEMPLATES = ("portrait", "sphere")
 SKIN_SRGB = (194, 150, 130)
 """The patch "light skin" of the ColorChecker, sRGB as X-Rite publishes it."""
 
-SCATTERED_RGB = (0.55, 0.22, 0.14)
+SCATTERED_RGB = (0.4, 0.25, 0.2)
 """Ss of the stand-in skin, linear RGB [1]: red reaches farthest. A start, not a measurement."""
 
 _SPECULAR = {"weight": 1.0, "roughness1": 0.45, "roughness2": 0.25, "mix": 0.35}
 
-_QUADS_ACROSS = 16
+_QUADS_ACROSS = 20
 """Quads along an edge of the cube that the stand-in is bent from."""
 
 _BUST_CM = np.array(
     [
-        (0.0, 24.0), (4.0, 23.4), (7.2, 20.0), (7.9, 15.5), (7.4, 11.0), (6.0, 6.0), (5.2, 3.5),
-        (5.4, 0.0), (7.5, -2.5), (13.0, -4.5), (17.0, -8.0), (18.0, -14.0), (0.0, -14.5),
+        (0.0, 25.0), (4.5, 25.0), (7.7, 20.5), (7.7, 14.0), (6.6, 7.0), (5.0, 3.0), (5.3, -1.0),
+        (7.5, -3.5), (14.0, -5.5), (19.0, -8.0), (19.0, -22.0), (0.0, -22.0),
     ]
 )  # fmt: skip
 """Half width and height of a bust from the crown to the middle of its base [cm]."""
@@ -98,7 +98,7 @@ def _fill(folder: Path, template: str) -> None:
     else:
         _write_bust(folder / "subject.usda")
     _write_skin(folder / "skin.usda")
-    height, distance = (0.0, 60.0) if template == "sphere" else (8.0, 140.0)
+    height, distance = (0.0, 90.0) if template == "sphere" else (9.0, 115.0)
     shot = _SHOT.replace("HEIGHT", f"{height:g}").replace("DISTANCE", f"{distance:g}")
     for name, text in (("light.usda", _LIGHT), ("shot.usda", shot), ("README.md", _README)):
         with open(folder / name, "w", encoding="utf-8") as file:
@@ -164,11 +164,12 @@ def _bend(cube: NDArray[np.float64]) -> NDArray[np.float64]:
     # Everitt's map of the cube on the sphere, which keeps the quads alike in size.
     x, y, z = (np.tan(cube * np.pi / 4.0)).T
     length = np.sqrt(x * x + y * y + z * z)
-    steps = np.linalg.norm(np.diff(_BUST_CM, axis=0), axis=1)
+    profile = _rounded(_BUST_CM)
+    steps = np.linalg.norm(np.diff(profile, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
     place = np.arccos(np.clip(y / length, -1.0, 1.0)) / np.pi
-    width = np.interp(place, along, _BUST_CM[:, 0])
-    height = np.interp(place, along, _BUST_CM[:, 1])
+    width = np.interp(place, along, profile[:, 0])
+    height = np.interp(place, along, profile[:, 1])
     flat = np.hypot(x, z)
     # A head is deeper than wide, shoulders are wider than deep.
     shoulders = np.clip((2.0 - height) / 8.0, 0.0, 1.0)
@@ -178,6 +179,15 @@ def _bend(cube: NDArray[np.float64]) -> NDArray[np.float64]:
         [side * width * (1.0 + 0.15 * shoulders), height, front * width * (1.2 - 0.65 * shoulders)],
         axis=1,
     )
+
+
+def _rounded(line: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cut the corners of a line until they are round, its ends staying (Chaikin 1974)."""
+    for _ in range(5):
+        near, far = 0.75 * line[:-1] + 0.25 * line[1:], 0.25 * line[:-1] + 0.75 * line[1:]
+        cut = np.stack([near, far], axis=1).reshape(-1, line.shape[1])
+        line = np.concatenate([line[:1], cut, line[-1:]])
+    return line
 
 
 def _write_skin(path: Path) -> None:

@@ -18,6 +18,32 @@ if TYPE_CHECKING:
 _PATH = click.Path(path_type=Path)
 
 
+@click.command("new", cls=StepCommand)
+@click.argument("directory", metavar="DIR", type=_PATH)
+@click.option(
+    "--template",
+    type=click.Choice(["portrait", "sphere"]),
+    default="portrait",
+    show_default=True,
+    help="What there is to light.",
+)
+@click.pass_obj
+def new(options: GlobalOptions, /, directory: Path, template: str) -> None:
+    r"""Make a project in DIR that renders as it is.
+
+    Light, skin, subject and shot are layers of their own, to be replaced one by one. The path of
+    the stage to render is printed.
+
+    \b
+    Example:
+        usdskin new first && usdskin render first/shot.usda first.exr
+    """
+    reporter = Reporter(options)
+    from usdskin.projects import new_project
+
+    reporter.wrote([new_project(directory, template)])
+
+
 @click.command("import", cls=StepCommand)
 @click.argument("mesh", type=_PATH)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="ASSET.usda", help="To write.")
@@ -131,5 +157,5 @@ def validate(options: GlobalOptions, /, files: tuple[Path, ...], strict: bool) -
     return EXIT_FINDINGS if failed else EXIT_OK
 
 
-MAKING: tuple[click.Command, ...] = (import_,)
+MAKING: tuple[click.Command, ...] = (new, import_)
 READING = (info, validate)

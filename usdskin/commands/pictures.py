@@ -52,7 +52,8 @@ _PATH = click.Path(path_type=Path)
 @click.option(
     "--illuminant",
     metavar="NAME|FILE",
-    help="Lamp that RGB lights are taken to be, such as A, D50, FL2 or a table.  [default: what the light says, else D65]",
+    help="Lamp that RGB lights are taken to be: A, D50, FL2, 3200K or a table.  "
+    "[default: what the light says, else D65]",
 )
 @click.option(
     "--bad-pixels",

@@ -152,6 +152,10 @@ def _normals(mesh: MeshFile, notes: list[Note]) -> tuple[NDArray[np.float32], st
         length = np.linalg.norm(mesh.normals, axis=1, keepdims=True)
         if (length > 0.0).all():
             unit = (mesh.normals / length).astype(np.float32)
+            if len(unit) == len(mesh.points) and np.array_equal(
+                mesh.normal_indices, mesh.face_indices
+            ):
+                return unit, UsdGeom.Tokens.vertex
             return unit[mesh.normal_indices], UsdGeom.Tokens.faceVarying
         what = f"{int((length == 0.0).sum())} normals have no length; all are computed anew"
         notes.append(Note("normals-recomputed", str(mesh.source), what))

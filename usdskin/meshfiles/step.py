@@ -111,12 +111,10 @@ def import_mesh(
         mesh = repair(mesh, notes)
     if decimate_to is not None:
         mesh = decimate(mesh, decimate_to, notes)
-    if flip_v and mesh.st is not None:
-        mesh = dataclasses.replace(mesh, st=np.stack([mesh.st[:, 0], 1.0 - mesh.st[:, 1]], axis=1))
+    if flip_v:
+        mesh = _with_flipped_v(mesh)
     if normals:
-        mesh = dataclasses.replace(
-            mesh, normals=angle_weighted_normals(mesh), normal_indices=mesh.face_indices
-        )
+        mesh = _with_smooth_normals(mesh)
     options = AssetOptions(
         meters_per_unit=_meters_per_unit(mesh, units, notes),
         up_axis=_up_axis(mesh, up_axis),
@@ -161,6 +159,18 @@ def _check_options(
         raise UsageError(f"{output}: cannot write this kind of file; end its name in .usda")
     if source.exists() and output.exists() and source.samefile(output):
         raise UsageError(f"{output}: is the mesh itself; choose another name")
+
+
+def _with_flipped_v(mesh: MeshFile) -> MeshFile:
+    if mesh.st is None:
+        return mesh
+    s, t = mesh.st.T
+    return dataclasses.replace(mesh, st=np.stack([s, 1.0 - t], axis=1))
+
+
+def _with_smooth_normals(mesh: MeshFile) -> MeshFile:
+    normals = angle_weighted_normals(mesh)
+    return dataclasses.replace(mesh, normals=normals, normal_indices=mesh.face_indices)
 
 
 def _meters_per_unit(mesh: MeshFile, units: str | None, notes: list[Note]) -> float:

@@ -65,9 +65,8 @@ class Statements:
 
     def count(self, held: NDArray[np.bool_], lines: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return for how many characters of each of some lines a flag holds."""
-        before = np.zeros(len(held) + 1, dtype=np.int64)
-        np.cumsum(held, out=before[1:])
-        counted: NDArray[np.int64] = before[self.stop[lines]] - before[self.start[lines]]
+        line = np.searchsorted(self.stop, np.flatnonzero(held), side="right")
+        counted: NDArray[np.int64] = np.bincount(line, minlength=len(self.stop))[lines]
         return counted
 
     def numbers(

@@ -8,6 +8,7 @@ light's structure and not the picture's resolution.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +82,9 @@ def group_count(channel_count: int) -> int:
     return -(-channel_count // 4)
 
 
-def latlong_directions(azimuth_turns: NDArray[np.float64], polar: NDArray[np.float64]) -> NDArray:
+def latlong_directions(
+    azimuth_turns: NDArray[np.float64], polar: NDArray[np.float64]
+) -> NDArray[Any]:
     """Return UsdLux's latlong directions in the light's frame, shape [..., 3].
 
     u = 0.5 is +Z, u = 0.25 is +X, v = 0 is +Y, whatever the stage's up axis.
@@ -195,9 +198,9 @@ def pad_groups(channels: NDArray[np.float64]) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Nodes:
-    level: NDArray[np.int32]
-    row: NDArray[np.int32]
-    column: NDArray[np.int32]
+    level: NDArray[np.int64]
+    row: NDArray[np.int64]
+    column: NDArray[np.int64]
     leaf: NDArray[np.bool_]
     energy: NDArray[np.float64]
     mean: NDArray[np.float64]
@@ -246,19 +249,21 @@ def _texel_integrals(height: int, width: int) -> tuple[NDArray[np.float64], NDAr
     )
 
 
-def _pad(image: NDArray, shape: tuple[int, int]) -> NDArray:
+def _pad(image: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
     rows, columns = shape[0] - image.shape[0], shape[1] - image.shape[1]
     if not rows and not columns:
         return image
     return np.pad(image, ((0, rows), (0, columns)) + ((0, 0),) * (image.ndim - 2))
 
 
-def _halve(image: NDArray) -> NDArray:
+def _halve(image: NDArray[Any]) -> NDArray[Any]:
     """Sum 2 x 2 blocks; tree-shaped, so float32 keeps its precision."""
-    return image[0::2, 0::2] + image[0::2, 1::2] + image[1::2, 0::2] + image[1::2, 1::2]
+    columns = image[:, 0::2] + image[:, 1::2]
+    total: NDArray[Any] = columns[0::2] + columns[1::2]
+    return total
 
 
-def _index_moments(energy: NDArray, levels: int) -> list[NDArray[np.float64]]:
+def _index_moments(energy: NDArray[Any], levels: int) -> list[NDArray[np.float64]]:
     """Return per level the sums of e, e i, e j, e i^2, e j^2, shape [5, rows, columns]."""
     energy = energy.astype(np.float64)
     i = np.arange(energy.shape[0])[:, None] + 0.5
@@ -270,7 +275,9 @@ def _index_moments(energy: NDArray, levels: int) -> list[NDArray[np.float64]]:
     return pyramid
 
 
-def _block_radius(level: int, row: NDArray, column: NDArray, height: int, width: int) -> NDArray:
+def _block_radius(
+    level: int, row: NDArray[Any], column: NDArray[Any], height: int, width: int
+) -> NDArray[Any]:
     """Return the largest chord from a block's middle to its corners and edge middles."""
     side = 1 << level
     rows = [np.clip((row + f) * side, 0, height) for f in (0.0, 0.5, 1.0)]
@@ -304,22 +311,22 @@ def _select_nodes(
         found.append((np.full(len(row), level), row, column, ~split, sums))
         row = (2 * row[split, None] + np.array([0, 0, 1, 1])).ravel()
         column = (2 * column[split, None] + np.array([0, 1, 0, 1])).ravel()
-    level, row, column, leaf = (np.concatenate([part[k] for part in found]) for k in range(4))
+    levels, row, column, leaf = (np.concatenate([part[k] for part in found]) for k in range(4))
     sums = np.concatenate([part[4] for part in found], axis=1)
     mean = sums[1:3] / sums[0]
     variance = np.maximum(sums[3:5] / sums[0] - mean**2, 0.0) + 1.0 / 12.0
-    start = _interleave(row << level, column << level)
-    end = start + (np.int64(1) << (2 * level))
-    order = np.lexsort((-level, start))
+    start = _interleave(row << levels, column << levels)
+    end = start + (np.int64(1) << (2 * levels))
+    order = np.lexsort((-levels, start))
     start, end = start[order], end[order]
     skip = np.searchsorted(start, end, side="left").astype(np.int32)
     return _Nodes(
-        level[order], row[order], column[order], leaf[order], sums[0][order],
+        levels[order], row[order], column[order], leaf[order], sums[0][order],
         mean.T[order], np.sqrt(3.0 * variance).T[order], start, end, skip,
     )  # fmt: skip
 
 
-def _interleave(row: NDArray, column: NDArray) -> NDArray[np.int64]:
+def _interleave(row: NDArray[Any], column: NDArray[Any]) -> NDArray[np.int64]:
     """Return Morton codes, so that a block's texels are one interval."""
     code = np.zeros(len(row), np.int64)
     for bit in range(20):
@@ -328,7 +335,7 @@ def _interleave(row: NDArray, column: NDArray) -> NDArray[np.int64]:
     return code
 
 
-def _node_geometry(nodes: _Nodes, height: int, width: int, to_world: NDArray) -> _Geometry:
+def _node_geometry(nodes: _Nodes, height: int, width: int, to_world: NDArray[Any]) -> _Geometry:
     polar = np.pi * nodes.mean[:, 0] / height
     turns = nodes.mean[:, 1] / width
     center = latlong_directions(turns, polar)

@@ -43,13 +43,14 @@ def _density(pixel_filter: str, x: NDArray[np.float64]) -> NDArray[np.float64]:
     if pixel_filter == "box":
         return np.ones_like(x)
     if pixel_filter == "triangle":
-        return 1.0 - np.abs(x)
+        return np.asarray(1.0 - np.abs(x))
     if pixel_filter == "gaussian":
-        return np.exp(-4.5 * x**2) - np.exp(-4.5)
+        return np.asarray(np.exp(-4.5 * x**2) - np.exp(-4.5))
     turn = np.pi * (x + 1.0)
-    return (
+    window: NDArray[np.float64] = (
         0.35875 - 0.48829 * np.cos(turn) + 0.14128 * np.cos(2 * turn) - 0.01168 * np.cos(3 * turn)
     )
+    return window
 
 
 def _best_generator(count: int) -> int:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from usdskin.errors import MeshError
 from usdskin.layers import describe
 from usdskin.notes import Note
 from usdskin.render.mesh_cage import check_transform, to_meters
@@ -18,6 +17,7 @@ from usdskin.render.mesh_limit import unit
 from usdskin.render.mesh_primvars import ElementCounts, read_primvar
 from usdskin.render.mesh_subsets import BoundMaterial
 from usdskin.render.mesh_topology import FloatArray
+from usdskin.render.mesh_values import read_size, read_token
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.revolve import Shape, revolve
 
@@ -100,21 +100,19 @@ def read_gprim(
         return None
     order = [0, 2, 1] if mirrored else [0, 1, 2]
     count = len(shape.triangles)
-    world = shape.normals.reshape(-1, 3) @ np.linalg.inv(to_world[:3, :3])
-    normals = unit(world).reshape(count, 3, 3)
+    normals = unit(shape.normals.reshape(-1, 3) @ np.linalg.inv(to_world[:3, :3]))
     primvars = {}
     for name in sorted(set(primvar_names)):
         value = _constant(prim, name, time, notes)
         if value is not None:
-            rows = np.broadcast_to(value, (count, 3, len(value)))
-            primvars[name] = np.ascontiguousarray(rows, dtype=np.float32)
+            primvars[name] = np.tile(value.astype(np.float32), (count, 3, 1))
         elif name == "st":
             primvars[name] = shape.st[:, order].astype(np.float32)
     return MeshArrays(
         path=str(prim.GetPath()),
         points=to_meters(shape.points, to_world, where).astype(np.float32),
         triangles=shape.triangles[:, order].astype(np.int32),
-        normals=normals[:, order].astype(np.float32),
+        normals=normals.reshape(count, 3, 3)[:, order].astype(np.float32),
         material_slot=np.zeros(count, dtype=np.int32),
         material_paths=(materials(prim),),
         primvars=primvars,
@@ -160,16 +158,7 @@ def _reader(prim: Usd.Prim) -> Callable[[Usd.Prim, Usd.TimeCode], Shape | None] 
 
 
 def _size(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> float:
-    """Return a length of a shape.
-
-    Raises:
-        MeshError: It is negative or not finite.
-    """
-    attribute = prim.GetAttribute(name)
-    value = float(attribute.Get(time))
-    if not np.isfinite(value) or value < 0.0:
-        raise MeshError(f"{describe(attribute)}: {name} is {value:g}; it must be 0 or more")
-    return value
+    return read_size(prim.GetAttribute(name), time)
 
 
 def _radii(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[float, float]:
@@ -186,10 +175,7 @@ def _turned(prim: Usd.Prim, shape: Shape) -> Shape:
     Raises:
         MeshError: The axis is not one of X, Y and Z.
     """
-    axis = str(prim.GetAttribute("axis").Get())
-    if axis not in _AXES:
-        raise MeshError(f"{describe(prim)}: axis is '{axis}'; use one of X, Y, Z")
-    order = list(_AXES[axis])
+    order = list(_AXES[read_token(prim.GetAttribute("axis"), Usd.TimeCode.Default())])
     return Shape(
         shape.points[:, order], shape.triangles, shape.normals[..., order], shape.st, shape.closed
     )

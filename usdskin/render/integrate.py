@@ -7,6 +7,7 @@ the picture is the same whatever the tiles, threads or their order.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -17,7 +18,7 @@ from usdskin.render.cameras import Camera
 from usdskin.render.device import Workers
 from usdskin.render.film import sample_offsets
 from usdskin.render.surfaces import band_groups
-from usdskin.warp_kernels import film, structs
+from usdskin.warp_kernels import data, film, structs
 
 TILE_PIXELS = 16384
 """Pixels of one launch on the CPU."""
@@ -118,9 +119,7 @@ def integrate(
         tile.channel = wp.zeros((end - begin, scene.max_rows), dtype=wp.vec4f, device=device)
         if on_host:  # the kernel writes into the picture itself
             tile.xyza = wp.array(xyza[begin:end], dtype=wp.vec4f, device=device, copy=False)
-            tile.spectrum = wp.array(
-                spectrum[begin:end], dtype=wp.vec4f, device=device, copy=False
-            )
+            tile.spectrum = wp.array(spectrum[begin:end], dtype=wp.vec4f, device=device, copy=False)
         else:
             tile.xyza = wp.zeros(end - begin, dtype=wp.vec4f, device=device)
             shape = (end - begin, band_groups(bands))
@@ -160,8 +159,9 @@ def collect_data(
     width, height = resolution
     count = width * height
     device = workers.device
+    data.load(device)
     rays = device_camera(camera, resolution)
-    found = {
+    found: dict[str, NDArray[Any]] = {
         "normal": np.zeros((count, 3), np.float32),
         "position": np.zeros((count, 4), np.float32),
         "base": np.zeros((count, 4), np.float32),
@@ -175,14 +175,14 @@ def collect_data(
         types["irradiance"] = wp.vec3f
 
     def work(begin: int, end: int) -> None:
-        tile = film.DataTile()
+        tile = data.DataTile()
         tile.first_pixel = begin
         tile.st_primvar = scene.st_primvar
         for name, dtype in types.items():
             setattr(tile, name, wp.zeros(end - begin, dtype=dtype, device=device))
         if not irradiance:
             tile.irradiance = wp.zeros(0, dtype=wp.vec3f, device=device)
-        film.render_data(scene.geometry, rays, scene.lights, scene.materials, tile)
+        data.render_data(scene.geometry, rays, scene.lights, scene.materials, tile)
         for name, values in found.items():
             values[begin:end] = getattr(tile, name).numpy()
 

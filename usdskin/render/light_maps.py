@@ -225,12 +225,12 @@ def _distant_patches(distants: tuple[DistantLight, ...], channels: NDArray[np.fl
         distants: The lights.
         channels: Irradiance of each in the light's channels, shape [count, channel_count].
     """
-    direction, azimuth, elevation = (np.zeros((len(distants), 3)) for _ in range(3))
+    direction, azimuth, elevation = (np.zeros((len(distants), 3), np.float32) for _ in range(3))
     for k, distant in enumerate(distants):
-        direction[k] = distant.direction / np.linalg.norm(distant.direction)
-        first, second = tangents(direction[k])
+        axis = distant.direction / np.linalg.norm(distant.direction)
+        first, second = tangents(axis)
         half = _DISC_TO_SQUARE * np.radians(distant.angle_deg) / 2.0
-        azimuth[k], elevation[k] = half * first, half * second
+        direction[k], azimuth[k], elevation[k] = axis, half * first, half * second
     return Patches(direction, azimuth, elevation, pad_groups(channels))
 
 

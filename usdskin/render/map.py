@@ -33,7 +33,7 @@ from usdskin.render.scene import mean_white
 from usdskin.render.settings import RenderReport, RenderSettings, read_settings
 from usdskin.render.surface_rows import SpectralFrame, wraps_of
 from usdskin.render.surfaces import band_groups, build_surfaces
-from usdskin.warp_kernels import film, structs
+from usdskin.warp_kernels import normals, structs
 
 # isort: split
 # After ours, which register the schemas.
@@ -131,7 +131,8 @@ def _chosen_lights(
         settings.bad_pixels, notes,
     )  # fmt: skip
     if requested is not None:
-        found = [light.path for light in (*lights.domes, *lights.distants)]
+        found = [dome.path for dome in lights.domes]
+        found += [distant.path for distant in lights.distants]
         if requested not in found:
             raise UsageError(
                 f"--light {requested}: no such light shines; the layer has "
@@ -198,9 +199,9 @@ def _shade(
     turns, polar = np.meshgrid(
         (np.arange(width) + 0.5) / width, np.pi * (np.arange(height) + 0.5) / height
     )
-    normals = latlong_directions(turns.ravel(), polar.ravel()).astype(np.float32)
-    spectrum = np.zeros((len(normals), bands), np.float32)
-    normal = wp.array(normals, dtype=wp.vec3f, device=workers.device)
+    directions = latlong_directions(turns.ravel(), polar.ravel()).astype(np.float32)
+    spectrum = np.zeros((len(directions), bands), np.float32)
+    normal = wp.array(directions, dtype=wp.vec3f, device=workers.device)
 
     def work(begin: int, end: int) -> None:
         tile = structs.Film()
@@ -212,10 +213,10 @@ def _shade(
         tile.spectrum = wp.zeros(
             (end - begin, band_groups(bands)), dtype=wp.vec4f, device=workers.device
         )
-        film.shade_normals(normal, light.device_lights, surfaces.device_materials, tile)
+        normals.shade_normals(normal, light.device_lights, surfaces.device_materials, tile)
         spectrum[begin:end] = tile.spectrum.numpy().reshape(end - begin, -1)[:, :bands]
 
-    workers.run(len(normals), 8192 if workers.device == "cpu" else len(normals), work)
+    workers.run(len(directions), 8192 if workers.device == "cpu" else len(directions), work)
     weights = xyz_weights(frame.wavelength_nm, frame.observer, frame.absolute)
     image = spectrum.reshape(height, width, bands)
     return image @ weights, image

@@ -8,16 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from usdskin.errors import MeshError
 from usdskin.layers import describe
 from usdskin.notes import Note
 from usdskin.render.mesh_net import Net, control_net, find_edges, sharpen
 from usdskin.render.mesh_topology import BoolArray, FloatArray, IndexArray
+from usdskin.render.mesh_values import (
+    read_indices,
+    read_numbers,
+    read_points,
+    read_token,
+    read_whole_numbers,
+    vector_text,
+)
 from usdskin.render.polygons import reversed_corners, unrepeated_corners
 
 # isort: split
@@ -26,16 +32,6 @@ from pxr import Usd, UsdGeom
 
 _SINGULAR = 1e-9
 """Ratio of the smallest to the largest stretch below which a transform counts as singular."""
-
-_TOKENS = {
-    "orientation": ("rightHanded", "leftHanded"),
-    "subdivisionScheme": ("catmullClark", "loop", "bilinear", "none"),
-    "interpolateBoundary": ("none", "edgeOnly", "edgeAndCorner"),
-    "faceVaryingLinearInterpolation": (
-        "none", "cornersOnly", "cornersPlus1", "cornersPlus2", "boundaries", "all",
-    ),
-    "triangleSubdivisionRule": ("catmullClark", "smooth"),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +89,7 @@ def read_cage(
     mesh = UsdGeom.Mesh(prim)
     where = describe(prim)
     mirrored = check_transform(to_world, where)
-    local = read_points(mesh, time)
+    local = read_points(mesh.GetPointsAttr(), time)
     counts, vertices = _read_faces(mesh, time, len(local), where)
     scheme = read_token(mesh.GetSubdivisionSchemeAttr(), time)
     left_handed = read_token(mesh.GetOrientationAttr(), time) == "leftHanded"
@@ -160,67 +156,10 @@ def to_meters(local: FloatArray, to_world: FloatArray, where: str) -> FloatArray
     if len(points) and not np.abs(points).max() < limit:
         far = int(np.argmax(np.abs(points).max(axis=1)))
         raise MeshError(
-            f"{where}: point {far} lies at {_vector(points[far])} m, too far for single "
+            f"{where}: point {far} lies at {vector_text(points[far])} m, too far for single "
             "precision; check its transform and metersPerUnit"
         )
     return points
-
-
-def read_points(mesh: UsdGeom.PointBased, time: Usd.TimeCode) -> FloatArray:
-    """Return the points in local space, shape [n, 3].
-
-    Raises:
-        MeshError: A point is not finite.
-    """
-    attribute = mesh.GetPointsAttr()
-    value = attribute.Get(time)
-    points = np.array(value if value is not None else [], dtype=np.float64).reshape(-1, 3)
-    finite = np.isfinite(points).all(axis=1)
-    if not finite.all():
-        bad = int(np.argmin(finite))
-        count = int((~finite).sum())
-        more = "" if count == 1 else f" (and {count - 1} more)"
-        raise MeshError(
-            f"{describe(attribute)}: point {bad} is {_vector(points[bad])}{more}; every "
-            "coordinate must be a finite number"
-        )
-    return points
-
-
-def read_indices(
-    attribute: Usd.Attribute, time: Usd.TimeCode, count: int, element: str
-) -> IndexArray:
-    """Return an array of indices, all within range.
-
-    Raises:
-        MeshError: An index names an element that does not exist.
-    """
-    value = attribute.Get(time)
-    indices = np.array(value if value is not None else [], dtype=np.intp).reshape(-1)
-    wrong = (indices < 0) | (indices >= count)
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise MeshError(
-            f"{describe(attribute)}: {attribute.GetName()}[{at}] names {element} {indices[at]}, "
-            f"but there are {count} (0 to {count - 1}); export the mesh again"
-        )
-    return indices
-
-
-def read_token(attribute: Usd.Attribute, time: Usd.TimeCode) -> str:
-    """Return a token attribute of a mesh.
-
-    Raises:
-        MeshError: The token is not one that the schema allows.
-    """
-    name = attribute.GetName()
-    value = str(attribute.Get(time))
-    allowed = _TOKENS[name]
-    if value not in allowed:
-        raise MeshError(
-            f"{describe(attribute)}: {name} is '{value}'; use one of {', '.join(allowed)}"
-        )
-    return value
 
 
 def build_net(mesh: UsdGeom.Mesh, cage: Cage, time: Usd.TimeCode, notes: list[Note]) -> Net:
@@ -268,8 +207,7 @@ def _read_faces(
     mesh: UsdGeom.Mesh, time: Usd.TimeCode, point_count: int, where: str
 ) -> tuple[IndexArray, IndexArray]:
     """Return the corners per face and the vertex of each corner, in agreement."""
-    value = mesh.GetFaceVertexCountsAttr().Get(time)
-    counts = np.array(value if value is not None else [], dtype=np.intp).reshape(-1)
+    counts = read_whole_numbers(mesh.GetFaceVertexCountsAttr(), time)
     vertices = read_indices(mesh.GetFaceVertexIndicesAttr(), time, point_count, "point")
     if (counts < 0).any():
         face = int(np.argmax(counts < 0))
@@ -312,8 +250,7 @@ def _read_creases(
 ) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Return both ends and the sharpness of every crease edge."""
     attribute = mesh.GetCreaseLengthsAttr()
-    value = attribute.Get(time)
-    lengths = np.array(value if value is not None else [], dtype=np.intp).reshape(-1)
+    lengths = read_whole_numbers(attribute, time)
     indices = read_indices(mesh.GetCreaseIndicesAttr(), time, point_count, "point")
     if (lengths < 2).any() or int(lengths.sum()) != len(indices):
         raise MeshError(
@@ -336,8 +273,7 @@ def _read_sharpness(
     attribute: Usd.Attribute, time: Usd.TimeCode, counts: Sequence[int]
 ) -> FloatArray:
     """Return sharpnesses, at least 0, as many as one of the counts."""
-    value = attribute.Get(time)
-    sharpness = np.array(value if value is not None else [], dtype=np.float64).reshape(-1)
+    sharpness = read_numbers(attribute, time, 1).reshape(-1)
     if len(sharpness) not in counts:
         wanted = " or ".join(str(count) for count in dict.fromkeys(counts))
         raise MeshError(
@@ -350,8 +286,3 @@ def _read_sharpness(
             "is not a number"
         )
     return np.maximum(sharpness, 0.0)
-
-
-def _vector(values: NDArray[Any]) -> str:
-    """Return a short text for a point."""
-    return "(" + ", ".join(f"{float(value):.6g}" for value in values) + ")"

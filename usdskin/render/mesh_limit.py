@@ -5,6 +5,10 @@ interpolation using Catmull-Clark surfaces" (quads), and of Loop 1987 (triangles
 creases: the cubic B-spline curve, and tangents by the eigenvectors of the crease rules. A vertex on
 a sharp edge has one normal on each side of it.
 
+Two things are not exact. At the end of a crease inside the surface (a dart) the smooth stencil
+stands in, as in OpenSubdiv. Sharpness that is left over at the last level counts by its share
+between 0 and 1, so that the surface does not jump as it is animated.
+
 Pure NumPy: no USD here.
 """
 

@@ -10,6 +10,7 @@ import numpy as np
 from usdskin.notes import Note
 from usdskin.render.mesh_primvars import ElementCounts, PrimvarValues, checked
 from usdskin.render.mesh_topology import BoolArray, CornerRows, FloatArray
+from usdskin.render.mesh_values import read_numbers
 
 # isort: split
 # After ours, which register the schemas.
@@ -31,10 +32,9 @@ def read_normals(
     else:
         attribute, interpolation = mesh.GetNormalsAttr(), mesh.GetNormalsInterpolation()
         indices = None
-    value = attribute.Get(time)
-    if value is None:
+    if not attribute.HasValue() or attribute.Get(time) is None:
         return None
-    values = np.asarray(value, dtype=np.float64).reshape(-1, 3)
+    values = read_numbers(attribute, time, 3)
     return checked(attribute, interpolation, values, indices, counts)
 
 

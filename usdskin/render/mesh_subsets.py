@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 
 from usdskin.notes import Note
-from usdskin.render.mesh_cage import read_indices
 from usdskin.render.mesh_topology import IndexArray
+from usdskin.render.mesh_values import read_indices
 
 # isort: split
 # After ours, which register the schemas.

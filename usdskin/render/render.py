@@ -20,7 +20,7 @@ from usdskin.render.light_maps import LightField
 from usdskin.render.opening import opened
 from usdskin.render.outputs import Shot, write_picture
 from usdskin.render.overrides import RenderOverrides, apply_overrides
-from usdskin.render.products import Product
+from usdskin.render.products import Product, prepare_folders
 from usdskin.render.scene import Scene, mean_white, read_scene, upload
 from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
 
@@ -48,6 +48,7 @@ def render_stage(
     with opened(stage_path, report.notes) as stage:
         apply_overrides(stage, overrides)
         job = resolve_settings(stage, overrides, output, report.notes)
+        prepare_folders(job.products)
         workers = open_workers(job.settings.device, job.settings.threads)
         _lap(report.seconds, "open", begun)
         for frame in job.frames:

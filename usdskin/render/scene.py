@@ -218,7 +218,7 @@ def upload(
     )
 
 
-def _primvar_names(scene: Scene) -> set[str]:
+def _primvar_names(scene: Scene) -> frozenset[str]:
     return required_primvars(scene.materials) | {"st"}
 
 
@@ -260,8 +260,8 @@ def _upload_geometry(
         first_point += len(mesh.points)
         begin = end
     if not count:  # nothing to hit, but the kernels need a mesh
-        points, triangles = [np.zeros((3, 3))], [np.array([[0, 1, 2]])]
-        normals = [np.tile(np.float32([0, 1, 0]), (3, 1))]
+        points, triangles = [np.zeros((3, 3), np.float32)], [np.array([[0, 1, 2]], np.int32)]
+        normals = [np.tile(np.array([0, 1, 0], np.float32), (3, 1))]
     mesh = wp.Mesh(
         points=wp.array(np.concatenate(points), dtype=wp.vec3f, device=device),
         indices=wp.array(

@@ -89,12 +89,13 @@ def gloss_alphas(
             if skin.specular_weight > 0.0:
                 found |= {skin.roughness1**2, skin.roughness2**2}
         elif material.reflective:
-            for value in (material.roughness, material.clearcoat_roughness):
-                if isinstance(value, TextureInput | PrimvarInput):
-                    return ladder
-            found.add(float(material.roughness) ** 2)
+            lobes = [material.roughness]
             if material.clearcoat != 0.0:
-                found.add(float(material.clearcoat_roughness) ** 2)
+                lobes.append(material.clearcoat_roughness)
+            for roughness in lobes:
+                if not isinstance(roughness, float | int):
+                    return ladder
+                found.add(float(roughness) ** 2)
     return tuple(sorted(round(float(alpha), 6) for alpha in found))
 
 

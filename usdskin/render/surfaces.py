@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -156,7 +157,7 @@ def _upload(
     def ints(values: object) -> wp.array:
         return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=device)
 
-    def floats(values: NDArray, dtype: type) -> wp.array:
+    def floats(values: NDArray[Any], dtype: type) -> wp.array:
         return wp.array(np.ascontiguousarray(values, np.float32), dtype=dtype, device=device)
 
     target.kind = ints([row.kind for row in rows])

@@ -6,6 +6,8 @@ spiral of normals and along the kinks of the strongest patches.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -120,7 +122,7 @@ def bake_maps(
     return padded, rows, error
 
 
-def _strength(values: NDArray, scale: NDArray[np.float64]) -> NDArray[np.float64]:
+def _strength(values: NDArray[Any], scale: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the weighted size of coefficients [groups, count, 4] per normal."""
     weighted = values * scale.reshape(-1, 1, 4)
     return np.asarray(np.sqrt((weighted**2).sum(axis=(0, 2))))

@@ -1,0 +1,51 @@
+"""Skin at given normals: the reflectance map as a picture."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from usdskin.warp_kernels.film import finish_rows
+from usdskin.warp_kernels.skin import Point, shade_skin
+from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel(enable_backward=False)
+def _shade_normals_kernel(
+    # In:
+    normal: wp.array[wp.vec3f],
+    lights: Lights,
+    materials: Materials,
+    # Out:
+    film: Film,
+):
+    """Shade the first material, skin without textures and lustre, at one normal per pixel.
+
+    Launch dimension: [tile_pixels].
+    """
+    pixel = wp.tid()
+    geometry = Geometry()
+    point = Point()
+    point.normal = normal[film.first_pixel + pixel]
+    point.view = point.normal
+    shade_skin(geometry, lights, materials, film, pixel, point, 1.0)
+    finish_rows(materials, film, pixel, 0, 1.0)
+
+
+def shade_normals(
+    normal: wp.array[wp.vec3f], lights: Lights, materials: Materials, film: Film
+) -> None:
+    """Shade the first material at the normals of one tile."""
+    wp.launch(
+        _shade_normals_kernel,
+        dim=film.xyza.shape[0],
+        inputs=[normal, lights, materials],
+        outputs=[film],
+        device=normal.device,
+    )
+
+
+def load(device: str) -> None:
+    """Load this module's kernels, compiled if the cache has none."""
+    wp.load_module(__name__, device)
