@@ -209,7 +209,10 @@ def _requested_camera(stage: Usd.Stage, requested: str) -> Usd.Prim:
             return prim
         if prim:
             kind = f"{'' if prim.IsActive() else 'inactive '}{prim.GetTypeName() or 'untyped'} prim"
-            raise LayerError(f"{name} <{requested}>: this {kind} is no camera to render from.")
+            raise LayerError(
+                f"{name} <{requested}>: this {kind} is no camera to render from; choose one with "
+                "-cam."
+            )
         matches = []
     else:
         matches = [prim for prim in _cameras(stage) if prim.GetName() == requested]

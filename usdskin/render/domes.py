@@ -14,13 +14,12 @@ from usdskin.colorimetry import linear_color_space, linearize
 from usdskin.errors import ImageError, LayerError
 from usdskin.images import read_headers, read_image, read_spectral
 from usdskin.layers import describe
+from usdskin.render.light_files import asset_file, map_color_space
 from usdskin.render.light_inputs import (
     Context,
     LightPrim,
-    asset_file,
     constant_spectrum,
     light_input,
-    map_color_space,
     rgb_spectra,
 )
 from usdskin.render.texels import factorize, mend_low_rank, mend_values

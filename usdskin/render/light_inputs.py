@@ -9,17 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Sdf, Usd, UsdLux
+from pxr import Usd, UsdLux
 
 from usdskin.colorimetry import (
     DEFAULT_OBSERVER,
     Observer,
-    color_space_names,
     daylight,
     illuminant,
     linear_color_space,
@@ -28,10 +26,11 @@ from usdskin.colorimetry import (
     xyz_to_rgb,
     xyz_weights,
 )
-from usdskin.errors import ImageError, LayerError, UsageError, UsdSkinError
+from usdskin.errors import LayerError, UsageError, UsdSkinError
 from usdskin.layers import describe
 from usdskin.notes import Note
 from usdskin.prims import SpectralLight, read_spectral_light
+from usdskin.render.light_files import DEFAULT_COLOR_SPACE, said_color_space
 from usdskin.render.texels import BadPixels
 from usdskin.spectrum import SpectralQuantity
 from usdskin.uplift import light_basis
@@ -39,19 +38,6 @@ from usdskin.uplift import light_basis
 FloatArray = NDArray[np.float64]
 
 DEFAULT_ILLUMINANT = "D65"
-DEFAULT_COLOR_SPACE = "lin_rec709_scene"
-
-# Names that predate USD's list, and those that say there is nothing to convert.
-_COLOR_SPACE_ALIASES = {
-    "sRGB": "srgb_rec709_scene",
-    "linear": DEFAULT_COLOR_SPACE,
-    "lin_srgb": DEFAULT_COLOR_SPACE,
-    "raw": DEFAULT_COLOR_SPACE,
-    "data": DEFAULT_COLOR_SPACE,
-    "identity": DEFAULT_COLOR_SPACE,
-}
-_UNSAID_COLOR_SPACES = ("", "auto", "unknown")
-_INTEGER_SAMPLES = ("uint8", "uint16", "int8", "int16")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,6 +226,12 @@ def constant_spectrum(light: LightPrim, context: Context) -> FloatArray:
                 f"{describe(light.prim)}: inputs:spectral:units is absolute, but "
                 "spectrum:emission:quantity is relative; give radiance, or make the units relative"
             )
+        lowest = int(np.argmin(emission.value))
+        if emission.value[lowest] < 0.0:
+            raise LayerError(
+                f"{describe(light.prim)}: spectrum:emission:values is {emission.value[lowest]:g} "
+                f"at {emission.wavelength_nm[lowest]:g} nm; a light is never negative, so mend it"
+            )
         return emission.resample(context.wavelength_nm)
     temperature = number(light.prim, "colorTemperature", context)
     lamp = daylight if source == "illuminantD" else planck_radiance
@@ -335,65 +327,3 @@ def _tint(prim: Usd.Prim, context: Context) -> tuple[FloatArray, str]:
         to_space = xyz_to_rgb(space) @ rgb_to_xyz(DEFAULT_COLOR_SPACE)
         color = color * np.maximum(to_space @ warm, 0.0)
     return color, space
-
-
-# --- Files and colour spaces -------------------------------------------------------------------
-
-
-def said_color_space(attribute: Usd.Attribute | None, inherited: bool = True) -> str | None:
-    """Return the colour space that an attribute is said to be in, by the name we know it by.
-
-    Args:
-        attribute: The attribute.
-        inherited: Whether ``ColorSpaceAPI`` on the prim or its ancestors counts.
-
-    Raises:
-        LayerError: An unknown colour space.
-    """
-    if not attribute:
-        return None
-    name = str(attribute.GetColorSpace())
-    if name in _UNSAID_COLOR_SPACES and inherited:
-        name = str(Usd.ColorSpaceAPI.ComputeColorSpaceName(attribute, None))
-    if name in _UNSAID_COLOR_SPACES:
-        return None
-    name = _COLOR_SPACE_ALIASES.get(name, name)
-    if name not in color_space_names():
-        raise LayerError(
-            f"{describe(attribute)}: {attribute.GetName()} is in color space {name!r}, which is "
-            f"unknown; use one of {', '.join(color_space_names())}"
-        )
-    return name
-
-
-def map_color_space(attribute: Usd.Attribute, of_file: str | None, sample_type: str) -> str:
-    """Return the colour space of a light map's pixels.
-
-    The strongest of: what the attribute says, what the file says, what ``ColorSpaceAPI`` says (of
-    a map in floating point), and sRGB for integers, linear Rec. 709 for the rest.
-    """
-    is_integer = sample_type in _INTEGER_SAMPLES
-    own = said_color_space(attribute, inherited=False)
-    if own is None and of_file is not None:
-        of_file = _COLOR_SPACE_ALIASES.get(of_file, of_file)
-        own = of_file if of_file in color_space_names() else None
-    if own is None and not is_integer:
-        own = said_color_space(attribute)
-    return own or ("srgb_rec709_scene" if is_integer else DEFAULT_COLOR_SPACE)
-
-
-def asset_file(attribute: Usd.Attribute | None, time: Usd.TimeCode) -> Path | None:
-    """Return the file an asset attribute names, None where it names none.
-
-    Raises:
-        ImageError: The file is not there; the message names layer, prim and path.
-    """
-    asset = attribute.Get(time) if attribute else None
-    if not isinstance(asset, Sdf.AssetPath) or not asset.path or attribute is None:
-        return None
-    if not asset.resolvedPath:
-        raise ImageError(
-            f"{describe(attribute)}: {attribute.GetName()} names @{asset.path}@, which is not "
-            "there; restore it or correct the path"
-        )
-    return Path(asset.resolvedPath)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from usdskin.colorimetry import xyz_weights
 from usdskin.errors import LayerError
+from usdskin.layers import describe
 from usdskin.notes import Note
 from usdskin.render.device import Workers
 from usdskin.render.gloss import LADDER, add_reflections, show_domes
@@ -43,7 +44,7 @@ from usdskin.warp_kernels import structs
 
 # isort: split
 # After ours, which register the schemas.
-from pxr import Usd, UsdGeom
+from pxr import Tf, Usd, UsdGeom
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +105,7 @@ def read_scene(
         return bindings[path]
 
     paths = _bound_paths(prims, material_of)
-    known = read_materials(stage, paths, time, notes)
+    known = read_materials(stage, paths, time, notes, settings.color_space)
     materials = (*known.values(), display_material())
     index: dict[str | None, int] = {path: k for k, path in enumerate(known)}
     index[None] = len(materials) - 1
@@ -113,8 +114,7 @@ def read_scene(
     scale = UsdGeom.GetStageMetersPerUnit(stage)
     meshes = []
     for prim in prims:
-        to_world = np.array(cache.GetLocalToWorldTransform(prim)).T
-        to_world[:3] *= scale
+        to_world = _to_world(prim, cache, scale)
         reader = read_mesh if prim.IsA(UsdGeom.Mesh) else read_gprim
         mesh = reader(prim, time, to_world, settings.subdivision_level, names, material_of, notes)
         if mesh is not None and len(mesh.triangles):
@@ -132,20 +132,33 @@ def _visible_gprims(
     purposes = {purpose for purpose in settings.purposes} | {"default"}
     walk = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
     for prim in walk:
-        note = unsupported_note(prim)
-        if note is not None:
-            notes.append(note)
-            if prim.IsA(UsdGeom.PointInstancer):
-                walk.PruneChildren()
-            continue
-        if not is_gprim(prim) or not _in_mask(str(prim.GetPath()), settings.mask):
+        if prim.IsA(UsdGeom.PointInstancer):  # what is below it are its prototypes
+            walk.PruneChildren()
+        if not prim.IsA(UsdGeom.Imageable) or not _in_mask(str(prim.GetPath()), settings.mask):
             continue
         imageable = UsdGeom.Imageable(prim)
         if imageable.ComputeVisibility(time) == UsdGeom.Tokens.invisible:
             continue
         if imageable.ComputePurpose() not in purposes:
             continue
-        yield prim
+        note = unsupported_note(prim)
+        if note is not None:
+            notes.append(note)
+        elif is_gprim(prim):
+            yield prim
+
+
+def _to_world(prim: Usd.Prim, cache: UsdGeom.XformCache, scale: float) -> NDArray[np.float64]:
+    """Return a prim's local-to-world matrix in metres, column vectors, shape [4, 4]."""
+    try:
+        matrix = np.array(cache.GetLocalToWorldTransform(prim)).T
+    except Tf.ErrorException as error:
+        reason = str(error).rsplit(" : ", 1)[-1].strip().strip("'").rstrip(".")
+        raise LayerError(
+            f"{describe(prim)}: its transform cannot be used: {reason}; correct its xformOps."
+        ) from None
+    matrix[:3] *= scale
+    return matrix
 
 
 def _in_mask(path: str, mask: tuple[str, ...] | None) -> bool:

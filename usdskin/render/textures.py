@@ -257,7 +257,7 @@ def _check_finite(path: str, pixels: FloatArray) -> None:
     row, column = np.argwhere(bad)[0]
     raise ImageError(
         f"{path}: {int(bad.sum())} pixels are not finite, the first in column {column}, row "
-        f"{row}; a texture must be finite."
+        f"{row}; a texture must be finite, so export it again."
     )
 
 
@@ -266,7 +266,10 @@ def _rgba(path: str, image: Image, channels: tuple[int, ...] | None) -> FloatArr
     rgba = np.zeros((height, width, 4), np.float32)
     if channels is not None:
         if len(channels) > 4 or not all(0 <= channel < count for channel in channels):
-            raise ImageError(f"{path}: has {count} channels; channels {channels} are asked for.")
+            raise ImageError(
+                f"{path}: has {count} channels, but {max(channels) + 1} are needed, one for each "
+                "weight; export it with all of them."
+            )
         rgba[..., : len(channels)] = image.pixels[..., list(channels)]
         return rgba
     names = [name.rpartition(".")[2].upper() for name in image.channel_names]
