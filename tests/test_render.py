@@ -290,3 +290,57 @@ def test_lustre_takes_its_light_from_the_diffuse_part(tmp_path, weight):
     inside = beauty[..., 3] == 1.0
     assert spectrum[inside].max() <= 0.01 * (1.0 + 2e-3)
     assert spectrum[inside].min() >= 0.01 * (1.0 - 2e-2)
+
+
+GROUND = """
+    def Mesh "Ground"
+    {
+        uniform token subdivisionScheme = "none"
+        uniform bool doubleSided = true
+        point3f[] points = [(-3, -0.1, 3), (3, -0.1, 3), (3, -0.1, -3), (-3, -0.1, -3)]
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        color3f[] primvars:displayColor = [(0.4, 0.3, 0.2)]
+    }
+"""
+
+BEHIND = """
+    def Sphere "Behind"
+    {
+        double radius = 0.1
+        color3f[] primvars:displayColor = [(0.1, 0.6, 0.2)]
+        double3 xformOp:translate = (0.08, 0.03, -0.1)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+"""
+
+
+@pytest.mark.parametrize("pixel_filter", ["box", "blackmanHarris"])
+def test_rasterized_and_traced_surfaces_are_the_same(tmp_path, monkeypatch, pixel_filter):
+    text = stage_text(SKIN, rgb_dome(tmp_path), BEHIND)
+    given = {"width": 64, "pixel_filter": pixel_filter}
+    rasterized, _ = rendered(tmp_path, text, "raster", **given)
+    monkeypatch.setattr("usdskin.render.integrate.project", lambda *_: None)
+    traced, _ = rendered(tmp_path, text, "traced", **given)
+    different = np.abs(rasterized - traced).max(axis=-1) > 1e-4 * traced.max()
+    # A sample on a silhouette may fall on either side by float32 rounding.
+    assert different.mean() < 2e-3
+
+
+def test_geometry_through_the_near_plane_is_clipped_by_rays(tmp_path):
+    """The ground runs behind the camera: it still fills the lower part of the picture."""
+    beauty, _ = rendered(tmp_path, stage_text(SKIN, rgb_dome(tmp_path), GROUND))
+    assert beauty[-1, :, 3].min() == 1.0
+    assert beauty[0, :, 3].max() < 1.0
+
+
+def test_an_orthographic_camera_sees_the_sphere_at_its_size(tmp_path):
+    """0.25 m wide: the disc of radius 0.1 m covers pi 0.16 of the picture."""
+    text = stage_text(SKIN, UNIFORM).replace(
+        "float focalLength", 'token projection = "orthographic"\n        float focalLength'
+    )  # fmt: skip
+    text = text.replace("horizontalAperture = 0.25", "horizontalAperture = 2.5").replace(
+        "verticalAperture = 0.25", "verticalAperture = 2.5"
+    )
+    beauty, _ = rendered(tmp_path, text, width=128)
+    assert beauty[..., 3].mean() == pytest.approx(np.pi * 0.16, rel=5e-3)

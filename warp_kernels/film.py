@@ -102,6 +102,25 @@ def surface_point(
 
 
 @wp.func
+def _first_hit(geometry: Geometry, ray: Ray, face: wp.int32) -> wp.vec3f:
+    """Return (u, v, t) of a ray on the plane of the triangle it is known to hit."""
+    a = wp.mesh_get_point(geometry.mesh, 3 * face)
+    b = wp.mesh_get_point(geometry.mesh, 3 * face + 1)
+    c = wp.mesh_get_point(geometry.mesh, 3 * face + 2)
+    ca = a - c
+    cb = b - c
+    across = wp.cross(ray.direction, cb)
+    scale = wp.dot(ca, across)
+    if scale == 0.0:
+        return wp.vec3f(1.0, 0.0, wp.length(a - ray.origin))
+    to_origin = ray.origin - c
+    upward = wp.cross(to_origin, ca)
+    u = wp.clamp(wp.dot(to_origin, across) / scale, 0.0, 1.0)
+    v = wp.clamp(wp.dot(ray.direction, upward) / scale, 0.0, 1.0 - u)
+    return wp.vec3f(u, v, wp.max(wp.dot(cb, upward) / scale, 0.0))
+
+
+@wp.func
 def finish_rows(
     materials: Materials, film: Film, pixel: wp.int32, material: wp.int32, share: wp.float32
 ):
@@ -166,6 +185,7 @@ def _picture_kernel(
     dome = materials.kind.shape[0] - 1
     current = int(-1)
     alpha = float(0.0)
+    rasterized = film.face.shape[0] > 0
     sharpness = 1.0 / wp.sqrt(wp.float32(samples))
     for s in range(samples):
         offset = film.sample[s]
@@ -178,11 +198,24 @@ def _picture_kernel(
         ray.width = ray.width * sharpness
         clear = float(1.0)
         start = float(0.0)
-        for _layer in range(MAX_LAYERS):
-            hit = wp.mesh_query_ray(
-                geometry.mesh, ray.origin + start * ray.direction, ray.direction, ray.length - start
-            )
-            if not hit.result:
+        for layer in range(MAX_LAYERS):
+            face = int(-1)
+            at = wp.vec3f(0.0, 0.0, 0.0)
+            if layer == 0 and rasterized:
+                face = film.face[pixel, s]
+                if face >= 0:
+                    at = _first_hit(geometry, ray, face)
+            else:
+                hit = wp.mesh_query_ray(
+                    geometry.mesh,
+                    ray.origin + start * ray.direction,
+                    ray.direction,
+                    ray.length - start,
+                )
+                if hit.result:
+                    face = hit.face
+                    at = wp.vec3f(hit.u, hit.v, hit.t)
+            if face < 0:
                 if film.show_dome != 0:
                     if current != dome:
                         finish_rows(materials, film, pixel, current, share)
@@ -192,7 +225,8 @@ def _picture_kernel(
                         film.channel[pixel, g] += clear * seen
                     alpha += clear
                 break
-            point = surface_point(geometry, ray, hit.face, hit.u, hit.v, start + hit.t)
+            distance = start + at[2]
+            point = surface_point(geometry, ray, face, at[0], at[1], distance)
             opacity = surface_opacity(geometry, materials, point)
             if point.material != current:
                 finish_rows(materials, film, pixel, current, share)
@@ -205,7 +239,7 @@ def _picture_kernel(
                 )
             alpha += clear * opacity
             clear = clear * (1.0 - opacity)
-            start = (start + hit.t) * 1.000001 + 1.0e-6
+            start = distance * 1.000001 + 1.0e-6
             if clear < 1.0e-4 or start >= ray.length:
                 break
     finish_rows(materials, film, pixel, current, share)

@@ -200,6 +200,10 @@ class Film:
     """Result: spectral radiance, bands in groups of four, shape [tile_pixels, band_groups], or
     [tile_pixels, 0] when not wanted."""
 
+    face: wp.array2d[wp.int32]
+    """First triangle of every sample, -1 where there is none, shape [tile_pixels, samples], or
+    [0, 0] where rays find it."""
+
     show_dome: wp.int32
 
 

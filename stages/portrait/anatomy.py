@@ -81,12 +81,21 @@ def eye(mesh: MeshFile, side: str) -> Eye:
     return Eye(center, radii)
 
 
-def head(mesh: MeshFile, below: float) -> MeshFile:
-    """Return the skin above a height [m], with texture coordinates that fill the picture."""
+def head(mesh: MeshFile, below: float) -> tuple[MeshFile, FloatArray]:
+    """Return the skin above a height, with texture coordinates that fill the picture.
+
+    Args:
+        mesh: The shaped base mesh.
+        below: Height of the cut [m].
+
+    Returns:
+        The mesh, and MakeHuman's own texture coordinates in the order of its ``st``.
+    """
     body = keep_groups(mesh, ["body"])
     lowest = np.minimum.reduceat(body.points[body.face_indices, 1], body.face_starts)
     cut = keep_faces(body, lowest > below)
-    return dataclasses.replace(_repacked(cut), groups={})
+    assert cut.st is not None
+    return dataclasses.replace(_repacked(cut), groups={}), cut.st
 
 
 def top(mesh: MeshFile, below: float) -> MeshFile:

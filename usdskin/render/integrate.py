@@ -17,8 +17,9 @@ from usdskin.progress import Progress
 from usdskin.render.cameras import Camera
 from usdskin.render.device import Workers
 from usdskin.render.film import sample_offsets
+from usdskin.render.projection import project
 from usdskin.render.surfaces import band_groups
-from usdskin.warp_kernels import data, film, structs
+from usdskin.warp_kernels import data, film, raster, structs
 
 TILE_PIXELS = 16384
 """Pixels of one launch on the CPU."""
@@ -37,6 +38,12 @@ class DeviceScene:
     band_count: int
     st_primvar: int
     """Row of st in the corner values, -1 where no mesh has it."""
+
+    points: NDArray[np.float32]
+    """Vertices [m], shape [vertex_count, 3]."""
+
+    triangles: NDArray[np.int32]
+    """Vertex indices, shape [triangle_count, 3]."""
 
     face_prim: NDArray[np.int32]
     """Index of each triangle's mesh, shape [triangle_count]."""
@@ -110,11 +117,25 @@ def integrate(
     bands = scene.band_count if spectral else 0
     spectrum = np.zeros((count, band_groups(bands), 4), np.float32)
     on_host = device == "cpu"
+    chunk = TILE_PIXELS if on_host else GPU_TILE_PIXELS
+    rows = min(max(1, chunk // width), height)
+    projection = None
+    if on_host:
+        raster.load(device)
+        reach = float(np.abs(offsets.numpy()).max())
+        projection = project(scene.points, scene.triangles, camera, resolution, rows, reach, device)
 
     def work(begin: int, end: int) -> None:
         tile = structs.Film()
         tile.sample = offsets
         tile.first_pixel = begin
+        if projection is None:
+            tile.face = wp.empty((0, 0), dtype=wp.int32, device=device)
+        else:
+            first = begin // width
+            tile.face = raster.rasterize_band(
+                projection, offsets, first // rows, width, first, (end - begin) // width
+            )
         tile.show_dome = int(show_dome)
         tile.channel = wp.zeros((end - begin, scene.max_rows), dtype=wp.vec4f, device=device)
         if on_host:  # the kernel writes into the picture itself
@@ -129,11 +150,9 @@ def integrate(
             xyza[begin:end] = tile.xyza.numpy()
             spectrum[begin:end] = tile.spectrum.numpy()
 
-    chunk = TILE_PIXELS if on_host else GPU_TILE_PIXELS
-    chunk = max(width, chunk // width * width)
     film.load(device)  # once, before the threads ask for it together
     progress.start(count, "render")
-    workers.run(count, chunk, work, progress.advance)
+    workers.run(count, rows * width, work, progress.advance)
     progress.done()
     return Picture(
         xyza.reshape(height, width, 4),

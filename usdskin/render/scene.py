@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -212,7 +213,7 @@ def upload(
         _thickness_range(scene),
         device,
     )
-    geometry, mesh, prim, material = _upload_geometry(scene, rows, device)
+    geometry, mesh, arrays = _upload_geometry(scene, rows, device)
     st = rows["st"] if any("st" in mesh.primvars for mesh in scene.meshes) else -1
     return (
         DeviceScene(
@@ -222,8 +223,7 @@ def upload(
             surfaces.max_rows,
             bands,
             st,
-            prim,
-            material,
+            *arrays,
             surfaces.albedo,
             (mesh,),
         ),
@@ -251,7 +251,8 @@ def _thickness_range(scene: Scene) -> dict[str, float]:
 
 def _upload_geometry(
     scene: Scene, rows: dict[str, int], device: str
-) -> tuple[structs.Geometry, wp.Mesh, NDArray[np.int32], NDArray[np.int32]]:
+) -> tuple[structs.Geometry, wp.Mesh, tuple[NDArray[Any], ...]]:
+    """Return the geometry, its mesh, and points, triangles, prims and materials on the host."""
     count = scene.triangle_count
     points, triangles, normals = [], [], []
     material = np.zeros(max(count, 1), np.int32)
@@ -275,11 +276,11 @@ def _upload_geometry(
     if not count:  # nothing to hit, but the kernels need a mesh
         points, triangles = [np.zeros((3, 3), np.float32)], [np.array([[0, 1, 2]], np.int32)]
         normals = [np.tile(np.array([0, 1, 0], np.float32), (3, 1))]
+    joined_points = np.concatenate(points)
+    joined_triangles = np.concatenate(triangles).astype(np.int32)
     mesh = wp.Mesh(
-        points=wp.array(np.concatenate(points), dtype=wp.vec3f, device=device),
-        indices=wp.array(
-            np.concatenate(triangles).astype(np.int32).ravel(), dtype=wp.int32, device=device
-        ),
+        points=wp.array(joined_points, dtype=wp.vec3f, device=device),
+        indices=wp.array(joined_triangles.ravel(), dtype=wp.int32, device=device),
     )
     geometry = structs.Geometry()
     geometry.mesh = mesh.id
@@ -287,7 +288,7 @@ def _upload_geometry(
     geometry.corner_value = wp.array(values, dtype=wp.vec4f, device=device)
     geometry.material = wp.array(material, dtype=wp.int32, device=device)
     geometry.prim = wp.array(prim, dtype=wp.int32, device=device)
-    return geometry, mesh, prim, material
+    return geometry, mesh, (joined_points, joined_triangles, prim, material)
 
 
 def _corner_values(

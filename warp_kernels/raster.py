@@ -1,0 +1,144 @@
+"""First surfaces by rasterisation: what every sample of a band of rows sees.
+
+On a CPU this finds what camera rays would find at a fraction of the cost: samples are coherent,
+and a triangle meets only the few it may cover. The kernel is serial over a band's triangles, so a
+GPU traces rays instead.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Projection:
+    """Triangles as the camera sees them, and which may touch which band of rows."""
+
+    screen: wp.array[wp.vec3f]
+    """Picture position [px] and nearness of each vertex, shape [vertex_count]. Nearness is affine
+    over the picture and grows towards the camera: 1 / depth, or -depth where orthographic."""
+
+    triangle: wp.array2d[wp.int32]
+    """Vertices of each triangle, shape [triangle_count, 3]."""
+
+    listed: wp.array[wp.int32]
+    """Triangles of all bands, band after band, ascending in each."""
+
+    first: wp.array[wp.int32]
+    """First entry of each band in ``listed``, shape [band_count + 1]."""
+
+    least: wp.float32
+    """Nearness of the far clipping plane."""
+
+    reach: wp.float32
+    """How far samples lie from their pixel's middle at most [px]."""
+
+
+@wp.func
+def _edge(a: wp.vec3f, b: wp.vec3f, ia: wp.int32, ib: wp.int32, x: float, y: float) -> wp.float32:
+    """Return twice the signed area of (a, b, point), exactly opposite for (b, a).
+
+    So two triangles leave no gap along the edge they share.
+    """
+    if ia < ib:
+        return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
+    return -((a[0] - b[0]) * (y - b[1]) - (a[1] - b[1]) * (x - b[0]))
+
+
+@wp.kernel(enable_backward=False)
+def _rasterize_kernel(
+    # In:
+    projection: Projection,
+    sample: wp.array[wp.vec2f],
+    band: wp.int32,
+    width: wp.int32,
+    first_row: wp.int32,
+    row_count: wp.int32,
+    # Scratch:
+    nearness: wp.array2d[wp.float32],
+    # Out:
+    face_out: wp.array2d[wp.int32],
+):
+    """Find the nearest triangle of every sample of one band.
+
+    Launch dimension: [1].
+
+    Args:
+        projection: The triangles.
+        sample: Sample offsets from a pixel's middle [px], shape [samples].
+        band: Which band.
+        width: Columns of the picture [px].
+        first_row: First row of the band.
+        row_count: Rows of the band.
+        nearness: Nearness found so far, zeroed by this kernel, shape [pixels, samples].
+        face_out: Triangle, -1 where there is none, shape [pixels, samples].
+    """
+    samples = sample.shape[0]
+    for pixel in range(width * row_count):
+        for s in range(samples):
+            nearness[pixel, s] = projection.least
+            face_out[pixel, s] = -1
+    for entry in range(projection.first[band], projection.first[band + 1]):
+        face = projection.listed[entry]
+        ia = projection.triangle[face, 0]
+        ib = projection.triangle[face, 1]
+        ic = projection.triangle[face, 2]
+        a = projection.screen[ia]
+        b = projection.screen[ib]
+        c = projection.screen[ic]
+        area = _edge(a, b, ia, ib, c[0], c[1])
+        if area != 0.0:
+            low_x = wp.min(a[0], wp.min(b[0], c[0])) - projection.reach
+            high_x = wp.max(a[0], wp.max(b[0], c[0])) + projection.reach
+            low_y = wp.min(a[1], wp.min(b[1], c[1])) - projection.reach
+            high_y = wp.max(a[1], wp.max(b[1], c[1])) + projection.reach
+            j0 = wp.int32(wp.clamp(low_x, 0.0, wp.float32(width)))
+            j1 = wp.int32(wp.clamp(high_x + 1.0, 0.0, wp.float32(width)))
+            top = wp.float32(first_row)
+            i0 = wp.int32(wp.clamp(low_y - top, 0.0, wp.float32(row_count)))
+            i1 = wp.int32(wp.clamp(high_y - top + 1.0, 0.0, wp.float32(row_count)))
+            turn = wp.sign(area)
+            weight = 1.0 / wp.abs(area)
+            for i in range(i0, i1):
+                for j in range(j0, j1):
+                    pixel = i * width + j
+                    for s in range(samples):
+                        x = wp.float32(j) + 0.5 + sample[s][0]
+                        y = top + wp.float32(i) + 0.5 + sample[s][1]
+                        wc = turn * _edge(a, b, ia, ib, x, y)
+                        wa = turn * _edge(b, c, ib, ic, x, y)
+                        wb = turn * _edge(c, a, ic, ia, x, y)
+                        if wa >= 0.0 and wb >= 0.0 and wc >= 0.0:
+                            near = (wa * a[2] + wb * b[2] + wc * c[2]) * weight
+                            if near > nearness[pixel, s]:
+                                nearness[pixel, s] = near
+                                face_out[pixel, s] = face
+
+
+def rasterize_band(
+    projection: Projection,
+    sample: wp.array[wp.vec2f],
+    band: int,
+    width: int,
+    first_row: int,
+    row_count: int,
+) -> wp.array2d[wp.int32]:
+    """Return the first triangle of every sample of a band, -1 for none, [pixels, samples]."""
+    shape = (width * row_count, sample.shape[0])
+    face = wp.empty(shape, dtype=wp.int32, device=sample.device)
+    nearness = wp.empty(shape, dtype=wp.float32, device=sample.device)
+    wp.launch(
+        _rasterize_kernel,
+        dim=1,
+        inputs=[projection, sample, band, width, first_row, row_count, nearness],
+        outputs=[face],
+        device=sample.device,
+    )
+    return face
+
+
+def load(device: str) -> None:
+    """Load this module's kernels, compiled if the cache has none."""
+    wp.load_module(__name__, device)
