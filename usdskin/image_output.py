@@ -250,6 +250,9 @@ def _write_rasters(
     origin: tuple[int, int],
     display_size: tuple[int, int] | None,
 ) -> None:
+    if Path(path).suffix.lower() != ".exr":
+        # OpenImageIO would write a JPEG for a name that ends in .jpg.
+        raise ImageError(f"{path}: cannot write; the name must end in .exr.")
     if compression.split(":")[0] not in _COMPRESSIONS:
         # OpenImageIO would take zip for a name it does not know.
         raise ImageError(f"{path}: no EXR compression {compression!r}; use none, zips, zip, piz.")
@@ -275,8 +278,7 @@ def _write_rasters(
     with replacing(path) as temporary:
         output = OpenImageIO.ImageOutput.create(temporary)
         if output is None:
-            OpenImageIO.geterror()  # else it is printed when the process ends
-            raise ImageError(f"{path}: cannot write; the name must end in .exr.")
+            raise ImageError(f"{path}: cannot write; {_reason(OpenImageIO, temporary)}.")
         try:
             for index, (spec, raster) in enumerate(zip(specs, rasters, strict=True)):
                 first = output.open(temporary, specs) if index == 0 else True

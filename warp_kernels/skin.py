@@ -135,14 +135,22 @@ def diffuse_light(
     front = wp.vec4f(0.0, 0.0, 0.0, 0.0)
     for k in range(_first_lamp(lights, group), lights.lamp_end[group]):
         x = wp.dot(normal, lights.lamp_center[k])
-        a = wp.dot(normal, lights.lamp_azimuth[k])
-        b = wp.dot(normal, lights.lamp_elevation[k])
-        flux = lights.lamp_flux[k]
-        lambert += mean_ramp(x, a, b) * flux
-        if kernels > 1:
-            wrapped += (mean_ramp(x + wrap, a, b) * narrow) * flux
-        if kernels > 2:
-            front += mean_step(x, a, b) * flux
+        reach = lights.lamp_reach[k]
+        if x + wrap > -reach:
+            flux = lights.lamp_flux[k]
+            if x > reach:  # no kink crosses the lamp
+                lambert += x * flux
+                wrapped += ((x + wrap) * narrow) * flux
+                front += flux
+            elif x < -reach and x + wrap > reach:
+                wrapped += ((x + wrap) * narrow) * flux
+            else:
+                a = wp.dot(normal, lights.lamp_azimuth[k])
+                b = wp.dot(normal, lights.lamp_elevation[k])
+                lambert += mean_ramp(x, a, b) * flux
+                wrapped += (mean_ramp(x + wrap, a, b) * narrow) * flux
+                if kernels > 2:
+                    front += mean_step(x, a, b) * flux
         if k % 256 == 255:  # sums over half a million texels, one by one, would lose 4e-4
             total.lambert += lambert
             total.wrap += wrapped

@@ -73,6 +73,9 @@ class Lights:
     lamp_elevation: wp.array[wp.vec3f]
     """Direction and half extents of each lamp, group after group, shape [lamp_count]."""
 
+    lamp_reach: wp.array[wp.float32]
+    """Sum of the half extents: N.L varies by no more over a lamp, shape [lamp_count]."""
+
     lamp_flux: wp.array[wp.vec4f]
     """Coefficients times solid angle [sr], shape [lamp_count]."""
 

@@ -24,6 +24,7 @@ from usdskin.notes import Note
 _TENTHS = 0.1
 _SCALE_TOLERANCE = 1e-4
 _LIST_LIMIT = 10
+_EXPOSURE_LIMIT = 1e18  # of the linear factor: pictures hold float32
 _EXPOSURE_FACTORS = ("exposure:time", "exposure:iso", "exposure:fStop", "exposure:responsivity")
 
 
@@ -269,14 +270,17 @@ def _clipping_range(
 
 def _exposure_scale(camera: UsdGeom.Camera, time: Usd.TimeCode) -> float:
     scale = float(camera.ComputeLinearExposureScale(time))
-    if math.isfinite(scale) and scale > 0.0:
+    if 1.0 / _EXPOSURE_LIMIT <= scale <= _EXPOSURE_LIMIT:
         return scale
     prim = camera.GetPrim()
     values = {"exposure": camera.GetExposureAttr().Get(time)}
     values |= {name: prim.GetAttribute(name).Get(time) for name in _EXPOSURE_FACTORS}
     wrong = {name: value for name, value in values.items() if not _gives_exposure(name, value)}
     said = ", ".join(f"{name} is {value:g}" for name, value in (wrong or values).items())
-    raise LayerError(f"{describe(prim)}: {said}; the exposure it gives is no positive number.")
+    raise LayerError(
+        f"{describe(prim)}: {said}; that is no exposure, whose factor lies within "
+        f"{1.0 / _EXPOSURE_LIMIT:g} and {_EXPOSURE_LIMIT:g}, so correct it."
+    )
 
 
 def _gives_exposure(name: str, value: float) -> bool:

@@ -18,6 +18,7 @@ from usdskin.render.light_files import asset_file, map_color_space
 from usdskin.render.light_inputs import (
     Context,
     LightPrim,
+    check_brightness,
     constant_spectrum,
     light_input,
     rgb_spectra,
@@ -88,11 +89,7 @@ def read_dome(light: LightPrim, to_world: NDArray[np.float64], context: Context)
         basis = constant_spectrum(light, context)[None]
         coefficients = np.ones((*_UNIFORM, 1), dtype=np.float32)
     peak = float(np.abs(coefficients).max(initial=0.0)) * light.scale
-    if peak > float(np.finfo(np.float32).max):
-        raise LayerError(
-            f"{describe(light.prim)}: brightness {light.scale:g} takes the map's peak to "
-            f"{peak:.3g}, more than float32 holds; lower intensity or exposure"
-        )
+    check_brightness(light, peak * max(float(np.abs(basis).max(initial=0.0)), 1.0))
     if light.scale != 1.0:
         coefficients = coefficients * np.float32(light.scale)
     if is_mirrored:
@@ -175,8 +172,10 @@ def _read_rgb(
         image = read_image(path, channels=chosen)
     except ImageError as error:
         raise _placed(error, path, where) from None
-    _check_layout(light, image.pixels.shape, image.attributes, where, context)
     pixels = image.pixels
+    if pixels.shape[:2] == (1, 1):  # one color all around, in whatever layout
+        pixels = np.tile(pixels, (*_UNIFORM, 1))
+    _check_layout(light, pixels.shape, image.attributes, where, context)
     if pixels.shape[2] == 1:
         pixels = np.repeat(pixels, 3, axis=2)
     pixels = mend_values(pixels, context.bad_pixels, where, light.path, context.notes)

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 MAX_PATCH_RADIUS = 0.3
 """Largest chord radius of a leaf."""
 
-MAX_PATCH_CURVATURE = 6.0e-6
+MAX_PATCH_CURVATURE = 1.2e-5
 """Largest share of the flux times squared radius of a leaf: bounds the cost of its flatness."""
 
-MAX_PATCH_MOMENT = 2.0e-4
+MAX_PATCH_MOMENT = 1.0e-3
 """Largest share of the flux times radius of a leaf: bounds what treating it as uniform costs."""
 
 LAMP_SHARE = 4.0e-3

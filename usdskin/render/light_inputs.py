@@ -39,6 +39,9 @@ FloatArray = NDArray[np.float64]
 
 DEFAULT_ILLUMINANT = "D65"
 
+BRIGHTEST = 1e18
+"""Highest radiance, and highest coefficient of a basis: their squares still fit a float32."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
@@ -135,6 +138,19 @@ def read_light_prim(prim: Usd.Prim, context: Context) -> LightPrim:
         )
     _note_ignored(prim, context)
     return LightPrim(prim, spectral, is_physical, scale)
+
+
+def check_brightness(light: LightPrim, peak: float) -> None:
+    """Refuse a light whose peak is beyond ``BRIGHTEST``.
+
+    Raises:
+        LayerError: It is, or it is no number.
+    """
+    if not peak <= BRIGHTEST:
+        raise LayerError(
+            f"{describe(light.prim)}: its light has a peak of {peak:.3g}, beyond {BRIGHTEST:g}; "
+            f"lower its spectrum, or its brightness of {light.scale:g} (intensity, exposure, scale)"
+        )
 
 
 def light_input(prim: Usd.Prim, name: str, context: Context) -> tuple[Usd.Attribute, Any]:

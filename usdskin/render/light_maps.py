@@ -258,6 +258,9 @@ def _upload_lamps(field: structs.Lights, lamps: list[_Lamps], device: str) -> in
     field.lamp_center = vec3(joined("center"), device)
     field.lamp_azimuth = vec3(joined("half_azimuth"), device)
     field.lamp_elevation = vec3(joined("half_elevation"), device)
+    extents = [np.linalg.norm(joined(name), axis=1) for name in ("half_azimuth", "half_elevation")]
+    reach = ((extents[0] + extents[1]) * 1.00001).astype(np.float32)
+    field.lamp_reach = wp.array(reach, dtype=wp.float32, device=device)
     flux = [lamp.patches.flux[0] for lamp in lamps]
     field.lamp_flux = vec4(np.concatenate([np.zeros((0, 4)), *flux]), device)
     field.lamp_end = wp.array(end.astype(np.int32), dtype=wp.int32, device=device)

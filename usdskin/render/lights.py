@@ -22,6 +22,7 @@ from usdskin.render.domes import DomeLight, read_dome
 from usdskin.render.light_inputs import (
     Context,
     LightPrim,
+    check_brightness,
     constant_spectrum,
     light_input,
     number,
@@ -220,11 +221,13 @@ def _read_distant(
     )
     normalize = bool(light_input(light.prim, "normalize", context)[1])
     factor = 1.0 if is_irradiance else _facing_factor(angle, normalize)
+    irradiance = spectrum * (factor * light.scale)
+    check_brightness(light, float(np.abs(irradiance).max()))
     return DistantLight(
         path=light.path,
         direction=direction / length,
         angle_deg=angle,
-        irradiance=spectrum * (factor * light.scale),
+        irradiance=irradiance,
         absolute=light.is_absolute,
     )
 

@@ -1,0 +1,1 @@
+"""usdskin and its peers, side by side."""
