@@ -200,23 +200,23 @@ def _lobe(
 
 
 @wp.func
-def _thickness_weight(
-    materials: Materials, material: wp.int32, node: wp.int32, thickness: wp.float32
+def _passage_entry(materials: Materials, material: wp.int32, thickness: wp.float32) -> wp.float32:
+    """Return where a path length lies in the material's table of exp(-s delta)."""
+    scale = materials.passage_scale[material]
+    s = wp.max(thickness, 0.0)
+    return wp.min(s / (s + scale[0]) * scale[1], wp.float32(materials.passage.shape[1] - 1))
+
+
+@wp.func
+def _passage_weight(
+    materials: Materials, material: wp.int32, entry: wp.float32, k: wp.int32
 ) -> wp.float32:
-    """Return the Lagrange weight of one thickness node, clamped to the nodes' range."""
-    count = materials.thickness_count[material]
-    s = wp.clamp(
-        thickness,
-        materials.thickness_nodes[material, 0],
-        materials.thickness_nodes[material, count - 1],
-    )
-    at = materials.thickness_nodes[material, node]
-    weight = float(1.0)
-    for k in range(count):
-        if k != node:
-            other = materials.thickness_nodes[material, k]
-            weight = weight * (s - other) / (at - other)
-    return weight
+    """Return f_k(s), linear between the table's entries."""
+    i = wp.int32(entry)
+    above = wp.min(i + 1, materials.passage.shape[1] - 1)
+    blend = entry - wp.float32(i)
+    low = materials.passage[material, i, k]
+    return low + blend * (materials.passage[material, above, k] - low)
 
 
 @wp.func
@@ -256,37 +256,40 @@ def shade_skin(
         passed = weight * (1.0 - lobes[0] * albedo)
     wrap_set = materials.wrap_set[m]
     wrap = lights.wrap[wrap_set]
-    nodes = materials.thickness_count[m]
-    thickness = float(0.0)
-    if nodes > 0:
+    rank = materials.passage_rank[m]
+    entry = float(0.0)
+    if rank > 0:
         thickness = read_input(geometry, materials, point, INPUT_THICKNESS)[0]
+        entry = _passage_entry(materials, m, thickness)
     coordinates = latlong_coordinates(point.normal)
-    kernels = wp.where(nodes > 0, 3, 2)
+    kernels = wp.where(rank > 0, 3, 2)
     span = bases * groups
     for g in range(groups):
         light = diffuse_light(lights, wrap_set, kernels, g, point.normal, coordinates)
         j1 = light.lambert
         j2 = light.wrap
         back = wp.vec4f(0.0, 0.0, 0.0, 0.0)
-        if nodes > 0:
+        if rank > 0:
             front = (j1 + wrap * light.front) / (1.0 + wrap)
-            back = j2 - front
+            back = passed * (j2 - front)
             j2 = front
         for j in range(bases):
             a = passed * _base_weight(low, high, j)
             row = j * groups + g
             film.channel[pixel, row] += a * j1
             film.channel[pixel, span + row] += a * j2
-            for k in range(nodes):
-                share = a * _thickness_weight(materials, m, k, thickness)
-                film.channel[pixel, (2 + k) * span + row] += share * back
+        for k in range(rank):
+            through = _passage_weight(materials, m, entry, k) * back
+            for j in range(bases):
+                row = (2 + k) * span + j * groups + g
+                film.channel[pixel, row] += _base_weight(low, high, j) * through
     if glossy:
         mirror = wp.normalize(2.0 * nv * point.normal - point.view)
         toward = latlong_coordinates(mirror)
         for g in range(groups):
             shine = (1.0 - lobes[3]) * _lobe(lights, g, lobes[1], point, nv, toward, f0, 1.0)
             shine += lobes[3] * _lobe(lights, g, lobes[2], point, nv, toward, f0, 1.0)
-            film.channel[pixel, (2 + nodes) * span + g] += (weight * lobes[0]) * shine
+            film.channel[pixel, (2 + rank) * span + g] += (weight * lobes[0]) * shine
 
 
 @wp.func

@@ -136,11 +136,16 @@ class Materials:
     wrap_set: wp.array[wp.int32]
     """Index into ``Lights.wrap``."""
 
-    thickness_nodes: wp.array2d[wp.float32]
-    """Interpolation nodes of the path length [m], shape [material_count, node_count]."""
+    passage_rank: wp.array[wp.int32]
+    """Terms of exp(-s delta) = sum_k f_k(s) g_k; 0 where light from behind is not weakened, shape
+    [material_count]."""
 
-    thickness_count: wp.array[wp.int32]
-    """Nodes in use; 0 where the body is opaque to its own light, shape [material_count]."""
+    passage: wp.array3d[wp.float32]
+    """f_k over s / (s + scale), in equal steps, shape [material_count, entry_count, rank]."""
+
+    passage_scale: wp.array[wp.vec2f]
+    """(scale [m], entries per unit of s / (s + scale)); (1, 0) where s is constant, shape
+    [material_count]."""
 
     flags: wp.array[wp.int32]
     """Bit 0 specular workflow, 1 presence opacity, 2 specular rows, 3 tinted specular rows,

@@ -56,7 +56,7 @@ def add_reflections(
         for g in range(count if alphas else 0):
             texel, level = _pyramid(dome, blocks, g)
             for k, alpha in enumerate(alphas):
-                size = _grid_rows(alpha)
+                size = _grid_rows(alpha, dome.coefficients.shape[0])
                 offsets[k, first + g], rows[k, first + g] = used, size
                 parts.append(_prefilter(texel, level, dome.to_world, alpha, size, workers))
                 used += len(parts[-1])
@@ -126,11 +126,12 @@ def fresnel_table() -> NDArray[np.float32]:
     return table.astype(np.float32)
 
 
-def _grid_rows(alpha: float) -> int:
-    """Return H of a node grid fine enough for a lobe about 2 alpha wide."""
+def _grid_rows(alpha: float, map_rows: int) -> int:
+    """Return H of a node grid fine enough for a lobe about 2 alpha wide, or for the map."""
+    finest = int(np.clip(map_rows, 24, _MIRROR_ROWS))
     if alpha <= 0.0:
-        return _MIRROR_ROWS
-    return int(np.clip(np.ceil(8.0 / alpha), 24, _MIRROR_ROWS))
+        return finest
+    return int(np.clip(np.ceil(8.0 / alpha), 24, finest))
 
 
 def _group_image(coefficients: NDArray[np.float32], group: int) -> NDArray[np.float32]:
@@ -169,6 +170,8 @@ def _prefilter(
     workers: Workers,
 ) -> NDArray[np.float32]:
     device = workers.device
+    if 2.0 * alpha < np.pi / level[0, 2]:
+        alpha = 0.0  # the lobe is narrower than a texel
     count = (rows + 1) * (2 * rows + 1)
     texels = wp.array(texel, dtype=wp.vec4f, device=device)
     levels = wp.array(level, dtype=wp.vec3i, device=device)

@@ -23,10 +23,11 @@ from usdskin.warp_kernels import structs
 
 FloatArray = NDArray[np.float64]
 
-THICKNESS_NODES = 24
-"""The most interpolation nodes of exp(-s delta) over the body's thickness."""
+PASSAGE_ENTRIES = 512
+"""Path lengths at which exp(-s delta) is tabulated."""
 
-THICKNESS_TOLERANCE = 1.0e-6
+PASSAGE_TOLERANCE = 1.0e-5
+"""Largest error of its low-rank form, of 1."""
 
 PREVIEW, SKIN, DOME = 0, 1, 2
 """``Materials.kind``."""
@@ -50,6 +51,23 @@ class SpectralFrame:
     """The rendering space, which RGB inputs are in."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Passage:
+    """exp(-s delta(lambda)) = sum_k f_k(s) g_k(lambda), the way of light through a body."""
+
+    table: FloatArray
+    """f_k over s / (s + scale) in equal steps from 0, shape [entry_count, rank]."""
+
+    spectra: FloatArray
+    """g_k, shape [rank, bands]."""
+
+    scale: float
+    """Path length in the middle of the table's axis [m]."""
+
+    last: float
+    """s / (s + scale) of the table's last entry; 0 where the path length is constant."""
+
+
 @dataclass(slots=True, eq=False)
 class MaterialRows:
     """One material: its rows of spectra, and where the weights of the rows come from."""
@@ -61,7 +79,7 @@ class MaterialRows:
     """Spectra of four channels each, shape [4, bands]."""
     wrap: float = 0.0
     flags: int = 0
-    nodes: FloatArray = field(default_factory=lambda: np.zeros(0))
+    passage: Passage | None = None
     constant: FloatArray = field(default_factory=lambda: np.zeros((structs.INPUT_COUNT, 4)))
     inputs: dict[int, TextureInput | PrimvarInput] = field(default_factory=dict)
     weighs: bool = False
@@ -126,8 +144,8 @@ def skin_rows(
     opacity = _values(skin.opacity, nm, 0.0)
     passes = [row.bases, row.bases * scattering]
     if opacity.max(initial=0.0) > 0.0:
-        row.nodes = _thickness_nodes(material, opacity, thickness_range)
-        passes += [row.bases * scattering * np.exp(-node * opacity) for node in row.nodes]
+        row.passage = _passage(material, opacity, thickness_range)
+        passes += [row.bases * scattering * through for through in row.passage.spectra]
     for reflectances in passes:
         for spectrum in skin.alpha / np.pi * reflectances:
             row.rows += list(light * spectrum)
@@ -178,33 +196,24 @@ def _values(spectrum: Spectrum | float | None, nm: FloatArray, fallback: float) 
     return np.full(len(nm), float(spectrum))
 
 
-def _thickness_nodes(
+def _passage(
     material: SkinMaterial, opacity: FloatArray, thickness_range: dict[str, float]
-) -> FloatArray:
-    """Return Chebyshev nodes at which exp(-s delta) interpolates to the tolerance."""
+) -> Passage:
+    """Factorise exp(-s delta) over the thicknesses in use, by its singular values."""
     skin = material.parameters
-    largest = max(thickness_range.get(material.path, 0.0), 0.0)
-    if material.thickness_primvar is None or largest <= 0.0:
-        return np.array([skin.thickness])
-    test = np.linspace(0.0, largest, 257)
-    extremes = np.array([opacity.min(), np.median(opacity), opacity.max()])
-    exact = np.exp(-test[:, None] * extremes)
-    for count in range(2, THICKNESS_NODES + 1):
-        nodes = 0.5 * largest * (1.0 - np.cos(np.pi * (np.arange(count) + 0.5) / count))
-        nodes = np.concatenate([[0.0], nodes[1:]])
-        found = _lagrange(nodes, test) @ np.exp(-nodes[:, None] * extremes)
-        if np.abs(found - exact).max() < THICKNESS_TOLERANCE:
+    largest = thickness_range.get(material.path, 0.0)
+    if largest <= 0.0:
+        return Passage(np.ones((1, 1)), np.exp(-skin.thickness * opacity)[None], 1.0, 0.0)
+    scale = 1.0 / float(np.median(opacity[opacity > 0.0]))
+    last = largest / (largest + scale)
+    place = np.linspace(0.0, last, PASSAGE_ENTRIES)
+    exact = np.exp(-(scale * place / (1.0 - place))[:, None] * opacity)
+    left, sizes, right = np.linalg.svd(exact, full_matrices=False)
+    for rank in range(1, len(sizes) + 1):
+        table = left[:, :rank] * sizes[:rank]
+        if np.abs(table @ right[:rank] - exact).max() < PASSAGE_TOLERANCE:
             break
-    return nodes
-
-
-def _lagrange(nodes: FloatArray, at: FloatArray) -> FloatArray:
-    weights = np.ones((len(at), len(nodes)))
-    for k, node in enumerate(nodes):
-        for j, other in enumerate(nodes):
-            if j != k:
-                weights[:, k] *= (at - other) / (node - other)
-    return weights
+    return Passage(table, right[:rank], scale, last)
 
 
 def preview_rows(

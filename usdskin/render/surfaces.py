@@ -150,9 +150,7 @@ def _upload(
     spectra = np.concatenate([np.stack(row.rows) for row in rows])
     weights = xyz_weights(frame.wavelength_nm, frame.observer, frame.absolute)
     xyz = np.einsum("rcb,bx->xrc", spectra, weights)
-    nodes = np.zeros((len(rows), max(1, *(len(row.nodes) for row in rows))))
-    for m, row in enumerate(rows):
-        nodes[m, : len(row.nodes)] = row.nodes
+    passage, passage_scale = _passages(rows)
 
     def ints(values: object) -> wp.array:
         return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=device)
@@ -165,8 +163,10 @@ def _upload(
     target.row_count = ints(counts)
     target.weight_count = ints([len(row.bases) for row in rows])
     target.wrap_set = ints([wraps.index(row.wrap) if row.wrap in wraps else 0 for row in rows])
-    target.thickness_nodes = floats(nodes, wp.float32)
-    target.thickness_count = ints([len(row.nodes) for row in rows])
+    ranks = [0 if row.passage is None else len(row.passage.spectra) for row in rows]
+    target.passage_rank = ints(ranks)
+    target.passage = floats(passage, wp.float32)
+    target.passage_scale = floats(passage_scale, wp.vec2f)
     target.flags = ints([row.flags for row in rows])
     target.constant = floats(np.stack([row.constant for row in rows]), wp.vec4f)
     target.slot = ints(slot)
@@ -191,3 +191,20 @@ def _upload(
     )
     to_rgb = white[:, None] * to_rgb / (white @ to_rgb).mean()
     return Surfaces(target, int(counts.max()), tuple(row.bases @ to_rgb for row in rows))
+
+
+def _passages(rows: list[MaterialRows]) -> tuple[FloatArray, FloatArray]:
+    """Return the tables of all materials, padded, [materials, entries, rank], and their scales."""
+    found = [row.passage for row in rows if row.passage is not None]
+    entries = max([len(passage.table) for passage in found], default=1)
+    rank = max([len(passage.spectra) for passage in found], default=1)
+    tables, scales = np.zeros((len(rows), entries, rank)), np.zeros((len(rows), 2))
+    scales[:, 0] = 1.0
+    for m, row in enumerate(rows):
+        if row.passage is None:
+            continue
+        table = row.passage.table
+        tables[m, : len(table), : table.shape[1]] = table
+        if row.passage.last > 0.0:
+            scales[m] = row.passage.scale, (len(table) - 1) / row.passage.last
+    return tables, scales
