@@ -66,8 +66,8 @@ def test_skin_reflects_no_more_than_it_receives(project):
     reflected = skin.alpha * skin.reflectance.value
     reflected = reflected * (1.0 + (1.0 + skin.wrap) * skin.scattering.value)
     assert (reflected > 0.02).all() and (reflected <= 1.0).all()
-    red = skin.reflectance.value[DEFAULT_WAVELENGTHS_NM == 650.0]
-    assert red > 1.5 * skin.reflectance.value[DEFAULT_WAVELENGTHS_NM == 450.0]
+    red = skin.reflectance.value[skin.reflectance.wavelength_nm == 650.0]
+    assert red > 1.5 * skin.reflectance.value[skin.reflectance.wavelength_nm == 450.0]
 
 
 def test_stand_in_bust_is_closed_and_turned_outwards():

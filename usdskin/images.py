@@ -235,7 +235,8 @@ def _no_folder() -> Iterator[str]:
 def _extracted(package: re.Match[str], folder: str, max_mb: int | None) -> str:
     member = package["member"]
     target = os.path.join(folder, "member" + Path(member).suffix)
-    with zipfile.ZipFile(package["package"]) as archive:
+    # USD writes names in UTF-8 without saying so.
+    with zipfile.ZipFile(package["package"], metadata_encoding="utf-8") as archive:
         try:
             info = archive.getinfo(member)
         except KeyError:

@@ -14,14 +14,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.colorimetry import decode_srgb
 from usdskin.errors import LayerError, UsageError
 from usdskin.layers import record_provenance, write_layer
 from usdskin.meshfiles.asset import AssetOptions, write_asset
-from usdskin.meshfiles.materials import lifted_spectrum, reference_spectra, write_material
+from usdskin.meshfiles.materials import write_material
 from usdskin.meshfiles.meshfile import FileMaterial, MeshFile
-from usdskin.prims import write_spectrum
-from usdskin.spectrum import SpectralQuantity
 
 # isort: split
 # After ours, which register the schemas.
@@ -29,12 +26,6 @@ from pxr import Usd, UsdGeom, UsdShade
 
 TEMPLATES = ("portrait", "sphere")
 """What the camera looks at: a stand-in for a head and shoulders, or a sphere."""
-
-SKIN_SRGB = (194, 150, 130)
-"""The patch "light skin" of the ColorChecker, sRGB as X-Rite publishes it."""
-
-SCATTERED_RGB = (0.4, 0.25, 0.2)
-"""Ss of the stand-in skin, linear RGB [1]: red reaches farthest. A start, not a measurement."""
 
 _SPECULAR = {"weight": 1.0, "roughness1": 0.45, "roughness2": 0.25, "mix": 0.35}
 
@@ -197,17 +188,10 @@ def _write_skin(path: Path) -> None:
     material = UsdShade.Material.Define(stage, "/Skin")
     prim = material.GetPrim()
     stage.SetDefaultPrim(prim)
-    measured = reference_spectra()
-    red, green, blue = (float(v) for v in decode_srgb(np.array(SKIN_SRGB) / 255.0))
-    color = None if "reflectance" in measured else (red, green, blue)
-    write_material(material, FileMaterial(diffuse_color=color), path, is_skin=True)
-    if "scattering" not in measured:
-        write_spectrum(
-            prim, "scattering", lifted_spectrum(SCATTERED_RGB, SpectralQuantity.SCATTERING)
-        )
+    write_material(material, FileMaterial(), path, is_skin=True)
     for name, value in _SPECULAR.items():
         prim.GetAttribute(f"inputs:skin:specular:{name}").Set(value)
-    record_provenance(stage, "newProject", [], {"measured": bool(measured)}, path.parent)
+    record_provenance(stage, "newProject", [], {}, path.parent)
     write_layer(stage, path)
 
 

@@ -25,7 +25,7 @@ Color = tuple[float, float, float]
 _SPACE = "lin_rec709_scene"
 
 _REFERENCE = "skin_reference.csv"
-"""Measured skin in ``usdskin/data``: wavelength_nm, reflectance and perhaps scattering."""
+"""Modelled skin in ``usdskin/data``: wavelength_nm, reflectance and scattering."""
 
 _QUANTITIES = {
     "reflectance": SpectralQuantity.REFLECTANCE,
@@ -39,7 +39,8 @@ def write_material(
     """Author a material on an empty Material prim.
 
     The reflectance of skin is that of its texture, else its color lifted to a spectrum, else the
-    measured one that ships with usdskin, whose scattering it takes in any case.
+    modelled one that ships with usdskin; only this comes with scattering, so that a texture or a
+    color shows as it is in uniform light.
 
     Args:
         material: Prim to write to.
@@ -53,9 +54,9 @@ def write_material(
     texture = _texture_file(material, given, output)
     spectra = reference_spectra() if is_skin else {}
     if texture is not None:
-        spectra.pop("reflectance", None)
+        spectra = {}
     elif given.diffuse_color is not None and is_skin:
-        spectra["reflectance"] = lifted_spectrum(given.diffuse_color)
+        spectra = {"reflectance": lifted_spectrum(given.diffuse_color)}
     color = given.diffuse_color
     if color is None and "reflectance" in spectra:
         color = _rgb(spectra["reflectance"])
@@ -89,7 +90,7 @@ def relative_asset(file: Path, output: Path) -> Sdf.AssetPath:
 
 
 def reference_spectra() -> dict[str, Spectrum]:
-    """Return the spectra of the measured skin that ships with usdskin, by instance name."""
+    """Return the spectra of the modelled skin that ships with usdskin, by instance name."""
     file = resources.files("usdskin") / "data" / _REFERENCE
     if not file.is_file():
         return {}
