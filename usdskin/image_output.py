@@ -314,6 +314,7 @@ def _is_complete(file: str) -> bool:
 
     OpenImageIO closes a file as if all were well when the disk is too full for its last buffer.
     """
+    OpenImageIO.attribute("limits:imagesize_MB", 2**30)  # a read before may have set a lower one
     source = OpenImageIO.ImageInput.open(file)
     if source is None:
         OpenImageIO.geterror()  # else it is printed when the process ends

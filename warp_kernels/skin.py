@@ -330,7 +330,7 @@ def shade_preview_surface(
     highest = wp.max(tint[0], wp.max(tint[1], tint[2]))
     if (flags & 1) == 0:
         dielectric = tint[0] * (1.0 - metallic)
-        highest = dielectric
+        highest = tint[0]
     glossy = (flags & 4) != 0
     diffuse = solid * (1.0 - metallic)
     if glossy:

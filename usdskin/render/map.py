@@ -29,6 +29,7 @@ from usdskin.render.materials import SkinMaterial, read_materials
 from usdskin.render.opening import opened
 from usdskin.render.overrides import MapOverrides, RenderOverrides
 from usdskin.render.preview import render_png
+from usdskin.render.products import prepare_folders
 from usdskin.render.scene import mean_white
 from usdskin.render.settings import RenderReport, RenderSettings, read_settings
 from usdskin.render.surface_rows import SpectralFrame, wraps_of
@@ -62,6 +63,8 @@ def write_map(
     """
     begun = clock.perf_counter()
     notes: list[Note] = []
+    width = _checked_width(overrides, output)
+    prepare_folders([output])
     with opened(layer_path, notes) as stage:
         settings = read_settings(
             stage,
@@ -87,9 +90,6 @@ def write_map(
         frame = SpectralFrame(
             settings.wavelength_nm, settings.observer, lights.absolute, settings.color_space
         )
-    width = overrides.width or DEFAULT_WIDTH
-    if width < 4 or width > 8192 or width % 2:
-        raise UsageError(f"-w/--width {width}: must be an even number from 4 to 8192.")
     progress.start(1, "map")
     xyz, spectrum = _shade(lights, skin, frame, width, settings)
     progress.advance(1)
@@ -117,6 +117,18 @@ def write_map(
     )  # fmt: skip
     seconds = {"map": computed - begun, "write": clock.perf_counter() - computed}
     return RenderReport([output, png], notes, seconds)
+
+
+def _checked_width(overrides: MapOverrides, output: Path) -> int:
+    """Return the map's width; refuse flags that no layer could make right."""
+    width = DEFAULT_WIDTH if overrides.width is None else overrides.width
+    if width < 4 or width > 8192 or width % 2:
+        raise UsageError(f"-w/--width {width}: must be an even number from 4 to 8192.")
+    if overrides.wrap is not None and not 0.0 <= overrides.wrap <= 1.0:
+        raise UsageError(f"--wrap {overrides.wrap:g}: must be from 0 to 1.")
+    if output.suffix.lower() != ".exr":
+        raise UsageError(f"-o/--output {output}: a map is a spectral EXR; end the name in .exr.")
+    return width
 
 
 def _chosen_lights(
@@ -168,8 +180,6 @@ def _chosen_skin(
         chosen = paths[0]
     if chosen is None:
         wrap = SkinParameters().wrap if overrides.wrap is None else overrides.wrap
-        if not 0.0 <= wrap <= 1.0:
-            raise UsageError(f"--wrap {wrap}: must be from 0 to 1.")
         return SkinMaterial("", SkinParameters(wrap=wrap))
     if chosen not in paths:
         raise UsageError(

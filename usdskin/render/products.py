@@ -7,7 +7,7 @@ Makes: ``Product``, one per picture, with every file's name.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -325,13 +325,13 @@ def _check_files(products: Sequence[Product]) -> None:
                 )
 
 
-def prepare_folders(products: Sequence[Product]) -> None:
-    """Make the folders of all files and check that they can be written to, before rendering.
+def prepare_folders(files: Iterable[Path]) -> None:
+    """Make the folders of files and check that they can be written to, before rendering.
 
     Raises:
         ImageError: A folder cannot be made or written to.
     """
-    for folder in sorted({file.parent for product in products for file in product.files}):
+    for folder in sorted({file.parent for file in files}):
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:

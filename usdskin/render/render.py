@@ -48,7 +48,7 @@ def render_stage(
     with opened(stage_path, report.notes) as stage:
         apply_overrides(stage, overrides)
         job = resolve_settings(stage, overrides, output, report.notes)
-        prepare_folders(job.products)
+        prepare_folders(file for product in job.products for file in product.files)
         workers = open_workers(job.settings.device, job.settings.threads)
         _lap(report.seconds, "open", begun)
         for frame in job.frames:
