@@ -28,6 +28,23 @@ GPU_TILE_PIXELS = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Faces:
+    """The triangles of all meshes, on the host."""
+
+    points: NDArray[np.float32]
+    """Vertices [m], shape [vertex_count, 3]."""
+
+    triangles: NDArray[np.int32]
+    """Vertex indices, shape [triangle_count, 3]."""
+
+    prim: NDArray[np.int32]
+    """Index of each triangle's mesh, shape [triangle_count]."""
+
+    material: NDArray[np.int32]
+    """Index of each triangle's material, shape [triangle_count]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DeviceScene:
     """Everything a picture needs, on the device."""
 
@@ -39,17 +56,7 @@ class DeviceScene:
     st_primvar: int
     """Row of st in the corner values, -1 where no mesh has it."""
 
-    points: NDArray[np.float32]
-    """Vertices [m], shape [vertex_count, 3]."""
-
-    triangles: NDArray[np.int32]
-    """Vertex indices, shape [triangle_count, 3]."""
-
-    face_prim: NDArray[np.int32]
-    """Index of each triangle's mesh, shape [triangle_count]."""
-
-    face_material: NDArray[np.int32]
-    """Index of each triangle's material, shape [triangle_count]."""
+    faces: Faces
 
     albedo: tuple[NDArray[np.float64], ...]
     """RGB under D65 of each material's base weights, shape [base_count, 3] each."""
@@ -123,7 +130,9 @@ def integrate(
     if on_host:
         raster.load(device)
         reach = float(np.abs(offsets.numpy()).max())
-        projection = project(scene.points, scene.triangles, camera, resolution, rows, reach, device)
+        projection = project(
+            scene.faces.points, scene.faces.triangles, camera, resolution, rows, reach, device
+        )
 
     def work(begin: int, end: int) -> None:
         tile = structs.Film()

@@ -178,7 +178,7 @@ def _data_part(
     if source == "primId":
         face = data["face"]
         ids = np.zeros(face.shape, np.uint32)
-        ids[face >= 0] = scene.face_prim[face[face >= 0]] + 1
+        ids[face >= 0] = scene.faces.prim[face[face >= 0]] + 1
         names = {
             "usdskin/primIds": "\n".join(f"{k + 1} {p}" for k, p in enumerate(shot.prim_paths))
         }
@@ -190,7 +190,7 @@ def _albedo(data: dict[str, FloatImage], scene: DeviceScene) -> FloatImage:
     """Return the RGB reflectance under D65 of what the pixel's middle sees."""
     face = data["face"]
     result = np.zeros((*face.shape, 3), np.float32)
-    material = np.where(face >= 0, scene.face_material[np.maximum(face, 0)], -1)
+    material = np.where(face >= 0, scene.faces.material[np.maximum(face, 0)], -1)
     for index in np.unique(material[material >= 0]):
         bases = scene.albedo[index]
         at = material == index

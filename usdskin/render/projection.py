@@ -38,9 +38,8 @@ def project(
     corner_depth = depth[triangles]
     kept = np.flatnonzero((corner_depth > camera.clip_near).all(axis=1))
     if len(kept) < len(triangles):
-        crossing = (corner_depth > camera.clip_near).any(axis=1)
-        crossing[kept] = False
-        if crossing.any():
+        some = (corner_depth > camera.clip_near).any(axis=1)
+        if int(some.sum()) > len(kept):
             return None
     rows = screen[triangles[kept], 1]
     columns = screen[triangles[kept], 0]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -20,7 +19,7 @@ from usdskin.notes import Note
 from usdskin.render.device import Workers
 from usdskin.render.gloss import LADDER, add_reflections, show_domes
 from usdskin.render.gprims import is_gprim, read_gprim, unsupported_note
-from usdskin.render.integrate import DeviceScene
+from usdskin.render.integrate import DeviceScene, Faces
 from usdskin.render.light_maps import (
     LightField,
     banded,
@@ -213,7 +212,7 @@ def upload(
         _thickness_range(scene),
         device,
     )
-    geometry, mesh, arrays = _upload_geometry(scene, rows, device)
+    geometry, mesh, faces = _upload_geometry(scene, rows, device)
     st = rows["st"] if any("st" in mesh.primvars for mesh in scene.meshes) else -1
     return (
         DeviceScene(
@@ -223,7 +222,7 @@ def upload(
             surfaces.max_rows,
             bands,
             st,
-            *arrays,
+            faces,
             surfaces.albedo,
             (mesh,),
         ),
@@ -251,8 +250,7 @@ def _thickness_range(scene: Scene) -> dict[str, float]:
 
 def _upload_geometry(
     scene: Scene, rows: dict[str, int], device: str
-) -> tuple[structs.Geometry, wp.Mesh, tuple[NDArray[Any], ...]]:
-    """Return the geometry, its mesh, and points, triangles, prims and materials on the host."""
+) -> tuple[structs.Geometry, wp.Mesh, Faces]:
     count = scene.triangle_count
     points, triangles, normals = [], [], []
     material = np.zeros(max(count, 1), np.int32)
@@ -288,7 +286,7 @@ def _upload_geometry(
     geometry.corner_value = wp.array(values, dtype=wp.vec4f, device=device)
     geometry.material = wp.array(material, dtype=wp.int32, device=device)
     geometry.prim = wp.array(prim, dtype=wp.int32, device=device)
-    return geometry, mesh, (joined_points, joined_triangles, prim, material)
+    return geometry, mesh, Faces(joined_points, joined_triangles, prim, material)
 
 
 def _corner_values(
