@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import resource
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ def scene_of(
     values["vertex_normals"] = shape.normals.ravel()
     values["faces"] = shape.triangles.ravel().astype(np.uint32)
     values.update()
-    folder = Path(__import__("tempfile").mkdtemp())
+    folder = Path(tempfile.mkdtemp())
     mesh.write_ply(str(folder / "body.ply"))
     film: dict[str, Any] = {
         "type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"},
@@ -46,8 +47,7 @@ def scene_of(
     if emitter_only:
         integrator = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0,
                       "hide_emitters": True}  # fmt: skip
-    # Mitsuba's latlong map has its middle at -Z, USD's at +Z.
-    turned = np.roll(room(), room().shape[1] // 2, axis=1)
+    # Mitsuba's latlong map and UsdLux's agree: the middle at +Z, the top at +Y.
     return mi.load_dict(
         {
             "type": "scene",
@@ -63,9 +63,8 @@ def scene_of(
             },
             "light": {
                 "type": "envmap",
-                "bitmap": mi.Bitmap(np.ascontiguousarray(turned)),
+                "bitmap": mi.Bitmap(room()),
                 "mis_compensation": True,
-                "to_world": mi.ScalarTransform4f().rotate([0, 1, 0], TURN),
             },
             "body": {
                 "type": "ply",
@@ -74,10 +73,6 @@ def scene_of(
             },
         }
     )
-
-
-TURN = 0.0
-"""Turn of the map about +Y [deg] that makes both renderers' pictures agree."""
 
 
 def main() -> None:

@@ -360,6 +360,26 @@ def test_relative_map_counts_from_the_layer_that_names_it(tmp_path):
     assert only_dome(stage).path == "/Key"
 
 
+def test_map_of_one_pixel_is_that_color_all_around(tmp_path):
+    stage = new_stage()
+    dome(stage, write_rgb(tmp_path / "grey.exr", np.full((1, 1, 3), 0.5)))
+    np.testing.assert_allclose(
+        xyz(only_dome(stage)),
+        np.broadcast_to(adapted(np.full(3, 0.5), "D65"), (2, 4, 3)),
+        rtol=1e-5,
+    )
+
+
+@pytest.mark.parametrize(("name", "value"), [("intensity", 1e20), ("exposure", 66.0)])
+def test_light_beyond_what_float32_can_square_is_refused(name, value, tmp_path):
+    """Sums of squares of a map's strengths would overflow, and the light vanish."""
+    stage = new_stage()
+    light = dome(stage, write_rgb(tmp_path / "m.exr", rgb_map()))
+    light.GetPrim().GetAttribute(f"inputs:{name}").Set(value)
+    with pytest.raises(LayerError, match="beyond"):
+        only_dome(stage)
+
+
 def test_map_that_is_no_latlong_is_refused_unless_it_says_so(tmp_path):
     stage = new_stage()
     light = dome(stage, write_rgb(tmp_path / "m.exr", rgb_map(8, 8)))

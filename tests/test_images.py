@@ -400,6 +400,77 @@ except errors.ImageError as error:
     assert os.listdir(tmp_path) == ["a.exr"]
 
 
+def test_a_disk_too_full_for_the_last_byte_leaves_the_old_file(tmp_path):
+    """OpenImageIO says that all is well when closing a file fails."""
+    path = tmp_path / "a.exr"
+    script = f"""
+import os, resource, numpy as np
+from usdskin import errors, images
+parts = [images.Part(name, {{name: np.ones((64, 64), np.float32)}}) for name in "ZW"]
+images.write_exr({str(path)!r}, parts, "none")
+limit = os.path.getsize({str(path)!r}) - 1
+open({str(path)!r}, "w").write("old")
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+try:
+    images.write_exr({str(path)!r}, parts, "none")
+except errors.ImageError as error:
+    print(error)
+"""
+    out = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert "cannot write" in out.stdout
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["a.exr"]
+
+
+def test_the_limit_of_an_earlier_read_does_not_keep_a_picture_from_being_written(tmp_path):
+    noise = np.random.default_rng(RNG_SEED).random((600, 600), np.float32)
+    part = images.Part("Z", {"Z": noise})
+    images.write_exr(tmp_path / "a.exr", [part])
+    with pytest.raises(ImageError, match="1 MB limit; make it smaller"):
+        images.read_image(tmp_path / "a.exr", max_mb=1)
+    images.write_exr(tmp_path / "b.exr", [part])
+    np.testing.assert_array_equal(images.read_image(tmp_path / "b.exr").pixels[..., 0], noise)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg"])
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.99])
+def test_a_picture_that_was_cut_short_is_refused_without_a_word_from_its_library(
+    name, share, tmp_path, capfd
+):
+    pixels = np.random.default_rng(RNG_SEED).integers(0, 255, (64, 64, 3)).astype(np.uint8)
+    path = _write(tmp_path / name, pixels, "uint8")
+    images.read_image(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    with pytest.raises(ImageError, match=f"{name}: cannot read; it is cut short"):
+        images.read_image(path)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_damaged_png_is_refused_without_a_word_from_its_library(tmp_path, capfd):
+    pixels = np.random.default_rng(RNG_SEED).integers(0, 255, (64, 64, 3)).astype(np.uint8)
+    path = _write(tmp_path / "a.png", pixels, "uint8")
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    with pytest.raises(ImageError, match="checksum"):
+        images.read_image(path)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_package_may_hold_any_name(tmp_path):
+    """USD stores names as UTF-8 without the flag that says so; Python takes them for cp437."""
+    from pxr import Sdf
+
+    pixels = np.array([[[10, 20, 30]]], np.uint8)
+    file = _write(tmp_path / "a.png", pixels, "uint8")
+    writer = Sdf.ZipFileWriter.CreateNew(str(tmp_path / "a.usdz"))
+    writer.AddFile(str(file), "häut.png")
+    writer.Save()
+    image = images.read_image(f"{tmp_path}/a.usdz[häut.png]")
+    np.testing.assert_allclose(image.pixels * 255.0, pixels)
+
+
 # PNG
 
 

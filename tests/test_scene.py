@@ -503,6 +503,43 @@ def test_white_surfaces_return_no_more_light_than_they_receive(kind, least, roug
     assert found[inside].min() >= least
 
 
+def test_a_mirror_shows_each_lobe_where_it_reflects_it(here):
+    """Seen from +Z: blue (+Z) in the middle, red (+X) to the right, green (+Y) above."""
+    mirror = "color3f inputs:diffuseColor = (1, 1, 1)\n float inputs:metallic = 1\n"
+    text = stage_text(LOBES, SPHERE, surface("Ball_", f"{mirror} float inputs:roughness = 0.05"))
+    picture = render(text)
+    off = round(0.9 * np.sqrt(0.5) * SIZE / 2)
+    for channel, (row, column) in enumerate(((0, off), (-off, 0), (0, 0))):
+        seen = picture[SIZE // 2 + row, SIZE // 2 + column, :3]
+        assert np.argmax(seen) == channel and seen[channel] > 2.0
+    away = picture[SIZE // 2, SIZE // 2 - off, :3]  # -X, where there is no lobe
+    np.testing.assert_allclose(away, 0.05, atol=0.02)
+
+
+def test_data_parts_hold_what_the_middle_of_a_pixel_sees(here):
+    back = quad("Back", colored((0.5, 0.25, 0.125)), z=-2, box=(-1, -1, 0, 1))
+    front = quad("Front", colored((0.2, 0.4, 0.8)), z=1, box=(-1, -1, 0, 0))
+    render(stage_text(WHITE, back, front), "--aov", "all")
+    part = {header.name: header for header in read_headers("shot.exr")}
+    data = {name: read_image("shot.exr", part=name).pixels for name in part}
+    at = {"front": (SIZE - 4, 3), "back": (3, 3), "nothing": (3, SIZE - 4)}
+    depth = {place: data["Z"][pixel][0] for place, pixel in at.items()}
+    assert depth == {"front": 9.0, "back": 12.0, "nothing": np.inf}
+    np.testing.assert_allclose(data["N"][at["front"]], (0, 0, 1), atol=1e-6)
+    x, y = (3.5 / SIZE * 2 - 1), (3.5 / SIZE * 2 - 1)
+    np.testing.assert_allclose(data["P"][at["front"]], (x, y, 1), atol=1e-6)
+    np.testing.assert_allclose(data["P"][at["back"]], (x, -y, -2), atol=1e-6)
+    np.testing.assert_allclose(data["albedo"][at["back"]], (0.5, 0.25, 0.125), atol=RGB_TOLERANCE)
+    np.testing.assert_allclose(data["irradiance"][at["back"]], np.pi, rtol=RGB_TOLERANCE)
+    ids = dict(
+        line.split(" ", 1)[::-1]
+        for line in part["primId"].attributes["usdskin/primIds"].splitlines()
+    )
+    assert data["primId"][at["front"]] == int(ids["/Front"])
+    assert data["primId"][at["back"]] == int(ids["/Back"])
+    assert data["primId"][at["nothing"]] == 0
+
+
 def test_a_spectral_reflectance_takes_the_place_of_the_diffuse_color(here):
     values = 0.5 + 0.4 * np.sin(DEFAULT_WAVELENGTHS_NM / 20.0)
     material = surface(

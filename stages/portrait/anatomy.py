@@ -14,23 +14,40 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.meshfiles import MeshFile, keep_faces, keep_groups
+from usdskin.meshfiles import MeshFile, angle_weighted_normals, keep_faces, keep_groups
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
 
 METERS_PER_UNIT = 0.1
 
+_OLD = 0.16
+"""Share of the old in the person's age; the rest is young, about 25 years."""
+
 SHAPES = {
-    "macrodetails/caucasian-male-young": 0.35,
-    "macrodetails/asian-male-young": 0.25,
-    "macrodetails/african-male-young": 0.40,
-    "macrodetails/universal-male-young-averagemuscle-averageweight": 1.0,
+    **{
+        f"macrodetails/{origin}-male-{age}": origin_share * age_share
+        for origin, origin_share in (("caucasian", 0.4), ("asian", 0.25), ("african", 0.35))
+        for age, age_share in (("young", 1.0 - _OLD), ("old", _OLD))
+    },
+    "macrodetails/universal-male-young-averagemuscle-averageweight": 1.0 - _OLD,
+    "macrodetails/universal-male-old-averagemuscle-averageweight": _OLD,
+    # No face is the same on both sides.
+    "asym/asym-jaw-1-l": 0.30,
+    "asym/asym-brown-1-l": 0.35,
+    "asym/asym-nose-1-r": 0.30,
+    "asym/asym-ear-1-l": 0.40,
+    "mouth/mouth-angles-up": 0.12,
+    "expression/units/caucasian/eye-left-opened-up": 0.25,
+    "expression/units/caucasian/eye-right-opened-up": 0.25,
 }
 """Shapes of the base mesh and how much of each."""
 
 TEXTURE_SIZE = (2048, 3072)
 """Width and height of the head's textures [px]."""
+
+_SKIN_HALF_WIDTH_M = 0.15
+"""Beyond this the shirt covers the skin, which is left out there [m]."""
 
 COLLAR_ROWS = 4
 """Rows of faces that are taken off the top of the helper ``tights`` to get a crew neck."""
@@ -93,9 +110,24 @@ def head(mesh: MeshFile, below: float) -> tuple[MeshFile, FloatArray]:
     """
     body = keep_groups(mesh, ["body"])
     lowest = np.minimum.reduceat(body.points[body.face_indices, 1], body.face_starts)
-    cut = keep_faces(body, lowest > below)
+    beside = np.abs(body.points[body.face_indices, 0])
+    widest = np.maximum.reduceat(beside, body.face_starts)
+    cut = keep_faces(body, (lowest > below) & (widest < _SKIN_HALF_WIDTH_M))
     assert cut.st is not None
     return dataclasses.replace(_repacked(cut), groups={}), cut.st
+
+
+def hidden_faces(st: FloatArray, st_indices: IntArray) -> IntArray:
+    """Return the faces inside the mouth and behind the eyeballs.
+
+    Args:
+        st: MakeHuman's own texture coordinates, shape [st_count, 2].
+        st_indices: Those of the corners, shape [4 * face_count].
+    """
+    corner = st[st_indices.reshape(-1, 4)]
+    mouth = (corner[..., 0] > 0.74) & (corner[..., 1] < 0.14)
+    sockets = (corner[..., 0] < 0.16) & (corner[..., 1] < 0.64)
+    return np.flatnonzero((mouth | sockets).all(axis=1)).astype(np.int32)
 
 
 def top(mesh: MeshFile, below: float) -> MeshFile:
@@ -109,7 +141,44 @@ def top(mesh: MeshFile, below: float) -> MeshFile:
         kept &= ~row
         edge = np.unique(faces[row])
     lowest = np.minimum.reduceat(tights.points[tights.face_indices, 1], tights.face_starts)
-    return dataclasses.replace(keep_faces(tights, kept & (lowest > below)), groups={})
+    cut = keep_faces(tights, kept & (lowest > below))
+    return _hemmed(dataclasses.replace(cut, groups={}, st=None, st_indices=None))
+
+
+def _hemmed(mesh: MeshFile) -> MeshFile:
+    """Return a shirt whose collar is turned in, so that its edge is round."""
+    faces = mesh.face_indices.reshape(-1, 4)
+    edge = _upper_boundary(mesh)
+    sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    both = np.isin(sides, edge).all(axis=1)
+    sides = sides[both]
+    _kinds, first, counts = np.unique(
+        np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    sides = sides[first[counts == 1]]
+    inward = -angle_weighted_normals(mesh)[edge]
+    up = np.array([0.0, 1.0, 0.0])
+    rings = [0.0025 * inward + 0.0015 * up, 0.0040 * inward, 0.0042 * inward - 0.012 * up]
+    points = [mesh.points]
+    added = []
+    below = np.arange(len(mesh.points))
+    for k, offset in enumerate(rings):
+        above = below.copy()
+        above[edge] = len(mesh.points) + k * len(edge) + np.arange(len(edge))
+        points.append(mesh.points[edge] + offset)
+        added.append(
+            np.stack(
+                [below[sides[:, 1]], below[sides[:, 0]], above[sides[:, 0]], above[sides[:, 1]]], 1
+            )
+        )
+        below = above
+    indices = np.concatenate([faces, *added]).astype(np.int32)
+    return dataclasses.replace(
+        mesh,
+        points=np.concatenate(points),
+        face_counts=np.full(len(indices), 4, np.int32),
+        face_indices=indices.ravel(),
+    )
 
 
 def _read_target(path: Path) -> tuple[IntArray, FloatArray]:
@@ -143,7 +212,9 @@ def _repacked(mesh: MeshFile) -> MeshFile:
     assert mesh.st is not None and mesh.st_indices is not None
     size = np.array(TEXTURE_SIZE, float)
     island = _islands(mesh.st_indices.reshape(-1, 4), len(mesh.st))
-    order = sorted(np.unique(island), key=lambda k: -float(np.prod(np.ptp(mesh.st[island == k], 0))))
+    order = sorted(
+        np.unique(island), key=lambda k: -float(np.prod(np.ptp(mesh.st[island == k], 0)))
+    )
     st = np.zeros_like(mesh.st)
     border = 12.0
     column, free = 0.0, border

@@ -6,11 +6,14 @@ the stage's README.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
+
+from usdskin.render.device import Workers, open_workers
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -72,8 +75,8 @@ def _occlusion_kernel(
     i = wp.tid()
     n = normal[i]
     start = point[i] + n * lift
-    free = float(0.0)
-    total = float(0.0)
+    free = wp.float32(0.0)
+    total = wp.float32(0.0)
     for k in range(direction.shape[0]):
         cosine = wp.dot(n, direction[k])
         if cosine > 0.0:
@@ -108,8 +111,8 @@ def _thickness_kernel(
     i = wp.tid()
     inward = -normal[i]
     start = point[i] + normal[i] * 0.002
-    gone = float(0.0)
-    entered = float(0.0)
+    gone = wp.float32(0.0)
+    entered = wp.float32(0.0)
     result = largest
     for _step in range(4):
         hit = wp.mesh_query_ray(mesh, start + inward * gone, inward, largest + 0.01)
@@ -199,6 +202,18 @@ def _rasterize_kernel(
                     )
 
 
+@functools.cache
+def workers() -> Workers:
+    """Return Warp on all cores, started quietly."""
+    return open_workers("cpu")
+
+
+def load(module: str) -> None:
+    """Compile the kernels of a module, before threads ask for them together."""
+    workers()
+    wp.load_module(module, device="cpu")
+
+
 def ray_mesh(parts: list[Triangles]) -> wp.Mesh:
     """Return the triangles of several objects as one mesh for rays."""
     counts = np.cumsum([0, *(len(part.points) for part in parts)])
@@ -229,17 +244,21 @@ def occlusion(
     """
     directions = sphere_directions()
     light = np.ones(len(directions), np.float32) if light is None else light
-    seen = wp.zeros(len(points), dtype=wp.float32, device="cpu")
-    wp.launch(
-        _occlusion_kernel,
-        dim=len(points),
-        inputs=[
-            mesh.id, _vectors(points), _vectors(normals), _vectors(directions),
-            wp.array(light, dtype=wp.float32, device="cpu"), LIFT_M, FAR_M, seen,
-        ],
-        device="cpu",
-    )  # fmt: skip
-    return seen.numpy()
+    towards, shares = _vectors(directions), wp.array(light, dtype=wp.float32, device="cpu")
+    result = np.zeros(len(points), np.float32)
+
+    def work(begin: int, end: int) -> None:
+        seen = wp.array(result[begin:end], dtype=wp.float32, device="cpu", copy=False)
+        here, normal = _vectors(points[begin:end]), _vectors(normals[begin:end])
+        wp.launch(
+            _occlusion_kernel,
+            dim=end - begin,
+            inputs=[mesh.id, here, normal, towards, shares, LIFT_M, FAR_M, seen],
+            device="cpu",
+        )
+
+    workers().run(len(points), 4096, work)
+    return result
 
 
 def sphere_directions(count: int = 512) -> Float32Array:
@@ -303,9 +322,7 @@ def rasterize(
     texel = wp.zeros((height, width, values.shape[2]), dtype=wp.float32, device="cpu")
     covered = wp.zeros((height, width), dtype=wp.int32, device="cpu")
     value = wp.array(np.ascontiguousarray(values, np.float32), device="cpu")
-    wp.launch(
-        _rasterize_kernel, dim=len(st), inputs=[st, value, texel, covered], device="cpu"
-    )
+    wp.launch(_rasterize_kernel, dim=len(st), inputs=[st, value, texel, covered], device="cpu")
     return texel.numpy(), covered.numpy() > 0
 
 

@@ -10,21 +10,21 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
+from bake import workers
 from numpy.typing import NDArray
-
 from skin_spectra import WAVELENGTH_NM, Pigments, reflectance
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
-MELANIN, BLOOD = 0.020, 0.014
+MELANIN, BLOOD = 0.023, 0.0135
 """Fractions of the cheek's plain skin [1]."""
 
 CORNERS = (
     Pigments(0.012, 0.006),
     Pigments(0.012, 0.080),
     Pigments(0.050, 0.020),
-    Pigments(0.300, 0.010),
+    Pigments(0.550, 0.010),
 )
 """Skins whose spectra are the basis: pale, flushed, tanned, and hair."""
 
@@ -45,6 +45,11 @@ class Landmarks:
     """From there to an eye's centre [m]."""
 
     mouth: FloatArray
+    """Where the lips meet, in the middle."""
+
+    mouth_half_width: float
+    """From there to a corner of the mouth [m]."""
+
     nose_tip: FloatArray
     skull: FloatArray
     """Inside the head, at the height of the eyes above the ears."""
@@ -87,9 +92,9 @@ def _noise_kernel(
     """
     i = wp.tid()
     state = wp.rand_init(seed)
-    total = float(0.0)
-    height = float(1.0)
-    scale = float(frequency)
+    total = wp.float32(0.0)
+    height = wp.float32(1.0)
+    scale = wp.float32(frequency)
     for _k in range(octaves):
         total += height * wp.noise(state, point[i] * scale)
         height = height * 0.5
@@ -99,20 +104,22 @@ def _noise_kernel(
 
 def noise(position: Float32Array, size_m: float, octaves: int, seed: int) -> Float32Array:
     """Return noise of about -1..1 whose largest grains have a given size."""
-    value = wp.zeros(len(position), dtype=wp.float32, device="cpu")
-    point = wp.array(np.ascontiguousarray(position), dtype=wp.vec3f, device="cpu")
-    wp.launch(
-        _noise_kernel,
-        dim=len(position),
-        inputs=[point, 1.0 / size_m, octaves, seed, value],
-        device="cpu",
-    )
-    return value.numpy()
+    value = np.zeros(len(position), np.float32)
+
+    def work(begin: int, end: int) -> None:
+        point = wp.array(position[begin:end], dtype=wp.vec3f, device="cpu", copy=False)
+        part = wp.array(value[begin:end], dtype=wp.float32, device="cpu", copy=False)
+        inputs = [point, 1.0 / size_m, octaves, seed, part]
+        wp.launch(_noise_kernel, dim=end - begin, inputs=inputs, device="cpu")
+
+    position = np.ascontiguousarray(position, np.float32)
+    workers().run(len(position), 1 << 18, work)
+    return value
 
 
 def smooth(low: float, high: float, value: NDArray) -> NDArray:
     """Return 0 below ``low``, 1 above ``high`` and a smooth way between (either order)."""
-    t = np.clip((value - low) / (high - low), 0.0, 1.0)
+    t = np.clip((value - low) * (1.0 / (high - low)), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 
@@ -123,25 +130,47 @@ def scalp(position: NDArray, marks: Landmarks) -> NDArray:
         position: Positions [m], shape [point_count, 3].
         marks: Landmarks.
     """
-    x, y, z = ((position - marks.skull) / 0.1).T
+    x, y, z = ((position - marks.skull.astype(np.float32)) / np.float32(0.1)).T
     around = np.degrees(np.arctan2(np.abs(x), z))
     up = np.degrees(np.arctan2(y, np.hypot(x, z)))
     # Height of the hairline over the way around: brow, temple, sideburn, behind the ear, nape.
     line = np.interp(
         around,
-        [0.0, 18.0, 34.0, 46.0, 58.0, 70.0, 79.0, 86.0, 97.0, 112.0, 140.0, 180.0],
-        [37.5, 38.5, 40.0, 34.0, 22.0, 6.0, -14.0, -10.0, 0.0, -22.0, -36.0, -40.0],
+        [0.0, 18.0, 31.0, 41.0, 49.0, 55.0, 60.0, 67.0, 72.0, 92.0, 99.0, 115.0, 140.0, 180.0],
+        [34.0, 35.0, 36.5, 30.0, 20.0, 8.0, -13.0, -17.0, -4.5, -4.0, -14.0, -26.0, -36.0, -40.0],
     )
-    ragged = noise(position.astype(np.float32), 0.006, 3, 71) * 2.4
-    return smooth(-2.5, 3.5, up - line + ragged)
+    ragged = noise(position.astype(np.float32), 0.006, 3, 71) * 3.2
+    return smooth(-4.0, 6.0, up - line + ragged)
+
+
+BROW = np.array(
+    [
+        # Along the brow: distance from the middle of the face, height over the eyes, half width.
+        (0.00, 0.0110, 0.0180, 0.0040), (0.20, 0.0190, 0.0205, 0.0050),
+        (0.45, 0.0290, 0.0230, 0.0044), (0.70, 0.0400, 0.0240, 0.0032),
+        (1.00, 0.0535, 0.0165, 0.0010),
+    ]
+)  # fmt: skip
+"""The brows' outline [m]."""
+
+
+def brow(position: NDArray, marks: Landmarks) -> NDArray:
+    """Return where the brows are, 0..1, shape [point_count]."""
+    place = position - marks.eyes.astype(np.float32)
+    x = np.abs(place[:, 0])
+    height = np.interp(x, BROW[:, 1], BROW[:, 2])
+    half = np.interp(x, BROW[:, 1], BROW[:, 3])
+    across = np.abs(place[:, 1] - height) / half
+    ends = smooth(BROW[0, 1] - 0.002, BROW[0, 1] + 0.006, x) * smooth(0.056, 0.048, x)
+    return smooth(1.25, 0.35, across) * ends * (position[:, 2] > marks.eyes[2] - 0.03)
 
 
 def pigments(texels: Texels, marks: Landmarks) -> tuple[NDArray, NDArray, NDArray]:
     """Return melanin and blood fractions, and the share that is hair, shape [texel_count] each."""
     p = texels.position
-    eye = (p - marks.eyes) / marks.half_gap
+    eye = (p - marks.eyes.astype(np.float32)) / np.float32(marks.half_gap)
     side = np.abs(eye[:, 0])
-    mouth = p - marks.mouth
+    mouth = p - marks.mouth.astype(np.float32)
     front = smooth(-0.2, 0.5, texels.normal[:, 2])
 
     def spot(x: float, y: float, width: float, height: float) -> NDArray:
@@ -156,26 +185,27 @@ def pigments(texels: Texels, marks: Landmarks) -> tuple[NDArray, NDArray, NDArra
     fine = noise(p, 0.0035, 3, 12)
     veins = noise(p, 0.009, 2, 13)
 
-    blood = np.full(len(p), BLOOD)
-    blood *= np.exp(0.32 * mottle + 0.16 * fine)
-    blood *= 1.0 + 1.15 * spot(1.25, -1.15, 0.75, 0.6)
-    nose = np.exp(-((np.linalg.norm(p - marks.nose_tip, axis=1) / 0.017) ** 2))
-    blood *= 1.0 + 1.2 * nose
-    blood *= 1.0 + 1.6 * mark("ears")
+    blood = np.full(len(p), BLOOD, np.float32)
+    blood *= np.exp(0.34 * mottle + 0.26 * fine)
+    blood *= 1.0 + 0.6 * spot(1.25, -1.15, 0.75, 0.6)
+    nose = np.exp(-((np.linalg.norm(p - marks.nose_tip.astype(np.float32), axis=1) / 0.017) ** 2))
+    blood *= 1.0 + 0.75 * nose
+    blood *= 1.0 + 1.2 * mark("ears")
     blood *= 1.0 + 0.7 * mark("eyelids")
-    blood *= 1.0 + 0.45 * spot(0.95, -0.55, 0.55, 0.22)
+    blood *= 1.0 + 0.25 * spot(0.95, -0.55, 0.55, 0.22)
     blood *= 1.0 - 0.30 * spot(0.0, 1.9, 2.2, 0.9)
     blood *= 1.0 + 0.5 * smooth(0.012, 0.0, np.abs(mouth[:, 1])) * spot(0.0, -2.2, 0.95, 0.5)
     blood *= 1.0 + 0.2 * smooth(1.50, 1.42, p[:, 1])
-    lips = smooth(0.25, 0.85, mark("lips"))
-    blood += lips * (0.060 * (1.0 + 0.25 * fine) - blood)
+    lips = smooth(0.15, 0.95, mark("lips") + 0.12 * fine)
+    lines = noise(p * np.float32([1.0, 0.12, 0.12]), 0.0011, 2, 14)
+    blood += lips * (0.042 * np.exp(0.35 * lines + 0.25 * mottle) - blood)
     blood += mark("inside-mouth") * 0.08
 
-    melanin = np.full(len(p), MELANIN)
-    melanin *= np.exp(0.16 * noise(p, 0.03, 3, 21) + 0.10 * fine)
+    melanin = np.full(len(p), MELANIN, np.float32)
+    melanin *= np.exp(0.18 * noise(p, 0.03, 3, 21) + 0.13 * fine)
     melanin *= 1.0 + 0.22 * spot(0.95, -0.6, 0.5, 0.25) + 0.15 * mark("eyelids")
     melanin *= 1.0 + 0.15 * spot(0.0, 2.2, 2.5, 0.8)
-    melanin *= 1.0 - 0.25 * lips
+    melanin *= 1.0 + lips * (0.05 + 0.22 * lines)
     freckle = smooth(0.42, 0.62, noise(p, 0.0030, 1, 22)) * smooth(-0.3, 0.6, veins)
     melanin *= 1.0 + 1.1 * freckle * (spot(1.0, -0.9, 1.1, 0.5) + 0.25 * spot(0.0, -0.6, 0.7, 0.6))
     mole = smooth(0.66, 0.74, noise(p, 0.0055, 1, 37))
@@ -184,25 +214,34 @@ def pigments(texels: Texels, marks: Landmarks) -> tuple[NDArray, NDArray, NDArra
     return melanin, blood, hair_share(texels, marks)
 
 
+def creases(position: Float32Array, marks: Landmarks) -> NDArray:
+    """Return what is left of the light in folds too fine for the occlusion of points, 0..1."""
+    corner = position - marks.mouth.astype(np.float32)
+    aside = np.hypot(np.abs(corner[:, 0]) - marks.mouth_half_width, corner[:, 1])
+    return 1.0 - 0.6 * np.exp(-((aside / 0.0026) ** 2)) * (corner[:, 2] > -0.04)
+
+
 def hair_share(texels: Texels, marks: Landmarks) -> NDArray:
     """Return the share of the skin under stubble or at the foot of hair, shape [texel_count]."""
     p = texels.position
-    mouth = p - marks.mouth
-    random = np.random.default_rng(5).uniform(0.0, 1.0, len(p)).astype(np.float32)
+    mouth = p - marks.mouth.astype(np.float32)
+    grain = noise(p, 0.0006, 2, 52)
 
     # The beard: moustache, chin and jaw, fading up the cheek and down the neck.
     x = np.abs(mouth[:, 0])
     cheek = -0.004 + 0.95 * np.maximum(x - 0.030, 0.0)
-    jaw = smooth(0.010, -0.006, mouth[:, 1] - cheek) * smooth(-0.088, -0.060, mouth[:, 1])
+    jaw = smooth(0.010, -0.006, mouth[:, 1] - cheek) * smooth(-0.070, -0.045, mouth[:, 1])
     lip = smooth(0.0235, 0.017, mouth[:, 1]) * smooth(0.038, 0.026, x)
     beard = np.maximum(jaw, lip) * smooth(marks.skull[2] - 0.005, marks.skull[2] + 0.02, p[:, 2])
     bare = smooth(0.10, 0.5, texels.mask["lips"]) + texels.mask["inside-mouth"]
+    bare = bare + smooth(0.05, 0.4, texels.mask["ears"])
     beard *= 1.0 - np.clip(bare, 0.0, 1.0)
     beard *= 0.75 + 0.35 * noise(p, 0.012, 2, 51)
-    share = beard * (0.10 + 0.42 * (random < 0.16))
+    share = beard * (0.16 + 0.42 * smooth(0.15, 0.5, grain))
 
     head = scalp(p, marks) * (1.0 - smooth(0.2, 0.7, texels.mask["ears"]))
-    share = np.maximum(share, head * (0.52 + 0.30 * random))
+    share = np.maximum(share, head * (0.90 + 0.08 * grain))
+    share = np.maximum(share, 0.42 * brow(p, marks) * (0.8 + 0.5 * grain))
     return np.clip(share, 0.0, 0.95)
 
 

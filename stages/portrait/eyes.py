@@ -8,14 +8,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from anatomy import Eye
 from numpy.typing import NDArray
 
-from anatomy import Eye
 from usdskin.meshfiles import MeshFile
 
 FloatArray = NDArray[np.float64]
 
-IRIS_M = 5.9e-3
+IRIS_M = 5.6e-3
 """Radius of the iris [m]; people's differ little from it."""
 
 PUPIL_M = 1.7e-3

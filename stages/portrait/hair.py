@@ -69,14 +69,14 @@ def lashes(mesh: MeshFile, random: np.random.Generator) -> Strands:
     """Return hairs along the base mesh's four lash helpers, which reach from root to tip."""
     paths = []
     for side in ("l", "r"):
-        for lid, count in (("1", 75), ("2", 130)):
+        for lid, count in (("1", 80), ("2", 170)):
             strip = keep_groups(mesh, [f"helper-{side}-eyelashes-{lid}"])
             paths.append(_along_strip(strip, count, lid == "2", random))
     path = np.concatenate(paths)
     count = len(path)
     normal = np.tile([0.0, 0.3, 0.954], (count, 1))
     color = np.tile([0.012, 0.009, 0.008], (count, 1))
-    return Strands(path, normal, random.uniform(1.1e-4, 1.7e-4, count), color)
+    return Strands(path, normal, random.uniform(1.4e-4, 2.2e-4, count), color)
 
 
 def _along_strip(
@@ -88,7 +88,7 @@ def _along_strip(
     place = strip.st[strip.st_indices.reshape(-1, 4)[:, corner].reshape(-1, 3)]
     point = strip.points[strip.face_indices.reshape(-1, 4)[:, corner].reshape(-1, 3)]
     low, high = strip.st[:, 0].min(), strip.st[:, 0].max()
-    columns = low + (high - low) * np.sort(random.uniform(0.02, 0.98, count))
+    columns = low + (high - low) * np.sort(random.uniform(0.03, 0.90, count))
     paths = []
     for s in columns:
         lean = 0.08 * (s - 0.5 * (low + high)) + random.normal(0.0, 0.0008)

@@ -1,6 +1,6 @@
 """Make the portrait's studio light: ``python stages/portrait/make_light.py``.
 
-Writes: ``light.usda``, a DomeLight with ``SpectralLightAPI`` and a variant per lamp, and its maps in
+Writes: ``light.usda``, a DomeLight with ``SpectralLightAPI`` and a variant per lamp, its maps in
         ``light/``. Both are committed; run this after a change.
 
 The room is dark but for a large softbox, to the left of the camera and above; a pale wall to the
@@ -33,7 +33,7 @@ HEIGHT = 128
 
 WAVELENGTH_NM = np.arange(380.0, 731.0, 5.0)
 
-KEY = (-37.0, 32.0)
+KEY = (-44.0, 34.0)
 """Azimuth from +Z towards +X and elevation of the softbox [deg]; the face looks along +Z."""
 
 RIM = (142.0, 24.0)
@@ -81,14 +81,14 @@ def coefficients() -> NDArray[np.float32]:
     """Return key, fill and rim over the sphere [relative], shape [h, w, 3]."""
     towards = directions()
     x, y, ahead = _around(towards, *KEY)
-    box = _edge(0.36 - np.abs(x), 0.05) * _edge(0.46 - np.abs(y), 0.05) * (ahead > 0.0)
-    key = 5.6 * box * (1.0 - 0.35 * np.clip(x**2 + y**2, 0.0, 1.0) / 0.34)
+    box = _edge(0.27 - np.abs(x), 0.04) * _edge(0.35 - np.abs(y), 0.04) * (ahead > 0.0)
+    key = 10.5 * box * (1.0 - 0.35 * np.clip((x**2 + y**2) / 0.20, 0.0, 1.0))
 
     height = towards[..., 1]
     wall = np.clip(towards @ _unit(78.0, 4.0), 0.0, 1.0)
     ceiling = np.clip(height, 0.0, 1.0)
     floor = np.clip(-height, 0.0, 1.0)
-    fill = 0.055 + 0.42 * wall**2.5 + 0.06 * ceiling + 0.03 * floor
+    fill = 0.030 + 0.32 * wall**2.5 + 0.06 * ceiling + 0.02 * floor
 
     x, y, ahead = _around(towards, *RIM)
     rim = 4.2 * _edge(0.10 - np.abs(x), 0.04) * _edge(0.60 - np.abs(y), 0.08) * (ahead > 0.0)

@@ -12,10 +12,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-
 from complexion import BLOOD, MELANIN, basis
+from numpy.typing import NDArray
 from skin_spectra import WAVELENGTH_NM, Pigments, effective_attenuation, reflectance
+
 from usdskin.colorimetry import (
     cat16,
     color_matching_functions,

