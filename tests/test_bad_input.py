@@ -222,11 +222,6 @@ def flag(says: str, *arguments: str, code: int = 2) -> Bad:
     return Bad(" ".join(arguments), says, arguments=arguments, code=code)
 
 
-def unmended(reason: str, *values: object) -> object:
-    """Return a case that is known to go wrong; the mark goes when it is mended."""
-    return pytest.param(*values, marks=pytest.mark.xfail(strict=True, reason=reason))
-
-
 # fmt: off
 CASES = [
     # The layer
@@ -398,8 +393,7 @@ CASES = [
     flag("--wavelengths 700:400:5", "--wavelengths", "700:400:5"),
     flag("--wavelengths 400:700:0", "--wavelengths", "400:700:0"),
     flag("--wavelengths bands", "--wavelengths", "400:700:1e-9"),
-    unmended("opinions.parse_wavelengths lets one band through, whose width nobody knows",
-             flag("--wavelengths 550:550:5", "--wavelengths", "550:550:5")),
+    flag("--wavelengths 550:550:5", "--wavelengths", "550:550:5"),
     flag("-rs /Rendre /Render", "-rs", "/Rendre"),
     flag("--aov Zz N", "--aov", "N,Zz"),
     flag("--set /Nope", "--set", "/Nope.a=1"),
@@ -511,11 +505,9 @@ FOG = 'string sourceName = "Z" -> string sourceName = "fog"'
          "composition-error"),
         (bad("sublayer", "no.usda", "metersPerUnit -> subLayers = [@./no.usda@]\nmetersPerUnit"),
          "composition-error"),
-        unmended("materials.bound_material shows displayColor without a word",
-                 bad("binding", "/Eye /Nope", "</Glass>\n -> </Nope>\n"), "material"),
-        unmended("materials.bound_material lets USD print a warning",
-                 bad("unapplied", "/Eye MaterialBindingAPI",
-                     'Eye" (prepend apiSchemas = ["MaterialBindingAPI"]) -> Eye"'), "material"),
+        (bad("binding", "/Eye /Nope", "</Glass>\n -> </Nope>\n"), "binding-broken"),
+        (bad("unapplied", "/Eye MaterialBindingAPI",
+             'Eye" (prepend apiSchemas = ["MaterialBindingAPI"]) -> Eye"'), "binding-ignored"),
     ],
     ids=lambda value: getattr(value, "name", None),
 )  # fmt: skip

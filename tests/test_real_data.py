@@ -246,9 +246,5 @@ def test_a_sample_of_real_and_broken_stages_is_read_or_refused(realdata, tmp_pat
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True,
-    reason="USD's warnings of bindings reach stderr; info of bitflip_05.usdc ends in a traceback",
-)
 def test_every_real_and_broken_stage_is_read_or_refused(realdata, tmp_path):
     sweep(realdata, tmp_path, step=1)

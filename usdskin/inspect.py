@@ -43,14 +43,17 @@ def inspect_file(path: Path) -> Report:
 
 
 def _inspect_stage(path: Path) -> Report:
-    from usdskin.layers import open_stage
-
-    # isort: split
-    from pxr import Usd, UsdGeom, UsdLux, UsdRender, UsdShade
+    from usdskin.layers import corruption_as_errors, open_stage, quiet_diagnostics
 
     notes: list[Note] = []
+    with corruption_as_errors(path), quiet_diagnostics():
+        return _stage_report(path, open_stage(path, notes), notes)
+
+
+def _stage_report(path: Path, stage: Any, notes: list[Note]) -> Report:
+    from pxr import Usd, UsdGeom, UsdLux, UsdRender, UsdShade
+
     problems: list[str] = []
-    stage = open_stage(path, notes)
     report: Report = {"file": str(path), "kind": "stage", "summary": _stage_summary(stage)}
     kinds: Sequence[tuple[str, Callable[[Any], bool], Callable[[Any], Row]]] = (
         ("cameras", lambda prim: prim.IsA(UsdGeom.Camera), _camera_row),

@@ -162,6 +162,13 @@ def surface_opacity(geometry: Geometry, materials: Materials, point: Point) -> w
     return opacity
 
 
+@wp.func
+def shines_when_clear(materials: Materials, material: wp.int32) -> bool:
+    """Return whether a surface reflects at opacity 0: transparent, and not cut out."""
+    flags = materials.flags[material]
+    return (flags & 6) == 4 and materials.constant[material, INPUT_OPACITY][1] <= 0.0
+
+
 @wp.kernel(enable_backward=False)
 def _picture_kernel(
     # In:
@@ -233,7 +240,7 @@ def _picture_kernel(
                 current = point.material
             if materials.kind[current] == 1:
                 shade_skin(geometry, lights, materials, film, pixel, point, clear)
-            elif opacity > 0.0:
+            elif opacity > 0.0 or shines_when_clear(materials, current):
                 shade_preview_surface(
                     geometry, lights, materials, film, pixel, point, clear, opacity
                 )

@@ -30,6 +30,7 @@ __all__ = [
     "SkinMaterial",
     "SurfaceMaterial",
     "TextureInput",
+    "binding_notes",
     "bound_material",
     "display_material",
     "read_materials",
@@ -179,6 +180,23 @@ def bound_material(prim: Usd.Prim, purposes: Sequence[str] = ("full", "")) -> st
         if material and _purpose_of(relationship) == purpose:
             return str(material.GetPath())
     return None
+
+
+def binding_notes(prim: Usd.Prim) -> list[Note]:
+    """Return why a binding authored on a prim itself does not show."""
+    relationship = UsdShade.MaterialBindingAPI(prim).GetDirectBindingRel()
+    targets = relationship.GetTargets() if relationship else []
+    if not targets:
+        return []
+    path = str(prim.GetPath())
+    if not prim.HasAPI(UsdShade.MaterialBindingAPI):
+        what = "has a material:binding but not MaterialBindingAPI, so USD ignores it; apply the API"
+        return [Note("binding-ignored", path, what)]
+    bound = prim.GetStage().GetPrimAtPath(targets[0])
+    if not bound or not bound.IsA(UsdShade.Material):
+        what = f"is bound to <{targets[0]}>, which is no Material; its displayColor is shown"
+        return [Note("binding-broken", path, what)]
+    return []
 
 
 def _purpose_of(relationship: Usd.Relationship) -> str:

@@ -26,8 +26,7 @@ def opened(path: Path, notes: list[Note]) -> Iterator[Usd.Stage]:
     Raises:
         LayerError: The layer cannot be opened or read, or a schema's name is misspelt.
     """
-    with corruption_as_errors(path):
+    with corruption_as_errors(path), quiet_diagnostics():
         stage = open_stage(path, notes)
-        with quiet_diagnostics():
-            check_stage_schemas(stage)
+        check_stage_schemas(stage)
         yield stage

@@ -158,8 +158,8 @@ def wavelengths(value: Any) -> NDArray[np.float64]:
         centers = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise ValueError("must be an array of numbers.") from None
-    if centers.ndim != 1 or centers.size == 0:
-        raise ValueError("must hold at least one wavelength.")
+    if centers.ndim != 1 or centers.size < 2:
+        raise ValueError("must hold at least two wavelengths: their distance is the bands' width.")
     if not np.isfinite(centers).all():
         raise ValueError(f"wavelength {int(np.argmin(np.isfinite(centers)))} is not finite.")
     falls = np.flatnonzero(np.diff(centers) <= 0)

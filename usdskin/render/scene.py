@@ -31,6 +31,7 @@ from usdskin.render.materials import (
     PrimvarInput,
     SkinMaterial,
     SurfaceMaterial,
+    binding_notes,
     bound_material,
     display_material,
     read_materials,
@@ -102,6 +103,7 @@ def read_scene(
         path = str(prim.GetPath())
         if path not in bindings:
             bindings[path] = bound_material(prim, settings.material_purposes)
+            notes.extend(binding_notes(prim))
         return bindings[path]
 
     paths = _bound_paths(prims, material_of)
