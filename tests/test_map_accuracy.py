@@ -241,7 +241,8 @@ def look_up(
 
 @pytest.fixture
 def workers(device: str) -> Workers:
-    return open_workers(device)
+    # Debug builds of concurrent launches share Warp's static tile pointer, and crash.
+    return open_workers(device, threads=1 if wp.config.mode == "debug" else None)
 
 
 def dome(coefficients: NDArray, basis: FloatArray | None = None) -> DomeLight:

@@ -223,10 +223,10 @@ def sweep(data: Path, folder: Path, step: int) -> None:
     )
     results = [json.loads(line) for line in ran.stdout.splitlines()]
     assert len(results) == len(commands)
-    assert [result for result in results if not _is_orderly(result)] == []
     pictures = list(folder.glob("*.exr"))
     assert len(pictures) > 50 // step
     assert all(np.isfinite(read_image(picture).pixels).all() for picture in pictures)
+    assert [result for result in results if not _is_orderly(result)] == []
 
 
 def _is_orderly(result: dict) -> bool:
