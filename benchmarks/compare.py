@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import accuracy, scene
-from benchmarks.measure import Child, machine, middle, run, run_job
+from benchmarks.measure import Child, fastest, machine, middle, run, run_job
 from benchmarks.report import Row, Section, as_markdown, as_text, write_json
 from benchmarks.startup import first_pictures
 
@@ -215,16 +215,28 @@ def _equal_error(bench: Bench, name: str, error: float) -> Row:
 def ourselves(bench: Bench) -> Section:
     """Measure starting up, spectra against RGB, memory and the use of the cores."""
     stage = scene.write_stage(bench.folder, "50k")
-    spectral = bench.ours("1024 ours 61 bands", stage, 1024, False)
-    three = bench.ours("1024 ours 3 bands", stage, 1024, False, bands_nm=[450.0, 550.0, 650.0])
     skin = scene.write_stage(bench.folder, "50k", wrap=0.3, scattering=0.6)
-    wrapped = bench.ours("1024 ours skin", skin, 1024, False)
-    mine, other = middle(spectral, "pixels"), middle(three, "pixels")
+    cases: dict[str, tuple[Path, dict[str, Any]]] = {
+        "1024 ours 61 bands": (stage, {}),
+        "1024 ours 3 bands": (stage, {"bands_nm": [450.0, 550.0, 650.0]}),
+        "1024 ours skin": (skin, {}),
+    }
+    found: dict[str, Any] = {}
+    for _ in range(3):  # in turn, so that a slow minute of the machine hits all three
+        for name, (path, job) in cases.items():
+            result = bench.ours(name, path, 1024, False, **job)
+            found.setdefault(name, result)
+            if found[name] is not result:
+                found[name]["laps"] += result["laps"]
+    bench.raw |= found
+    spectral, three, wrapped = found.values()
+    mine, other = fastest(spectral, "pixels"), fastest(three, "pixels")
+    skinned = fastest(wrapped, "pixels")
     rows = [
         Row("XYZ from 61 bands; from 3", f"{mine:.3f} s", f"{other:.3f} s",
             f"{mine / other:.2f}x", "<= 1.1x", mine / other <= 1.1),
-        Row("skin, l = 0.3, Ss = 0.6; Lambert", f"{middle(wrapped, 'pixels'):.3f} s",
-            f"{mine:.3f} s", f"{middle(wrapped, 'pixels') / mine:.2f}x"),
+        Row("skin, l = 0.3, Ss = 0.6; Lambert", f"{skinned:.3f} s", f"{mine:.3f} s",
+            f"{skinned / mine:.2f}x"),
     ]  # fmt: skip
     command = _large(bench, stage)
     cores = middle(spectral, "cpu") / middle(spectral, "wall")
@@ -235,7 +247,7 @@ def ourselves(bench: Bench) -> Section:
         Row("cores in use, reading and writing included", f"{cores:.2f}"),
     ]  # fmt: skip
     columns = ("", "this", "other", "ratio", "bar")
-    return Section("Ourselves, 50k triangles, 1024 x 1024", columns, rows)
+    return Section("Ourselves, 50k triangles, 1024 x 1024, fastest of each", columns, rows)
 
 
 def _large(bench: Bench, stage: Path) -> Child:

@@ -50,7 +50,7 @@ def body(rows: int) -> tuple[FloatArray, FloatArray, NDArray[np.int32]]:
 
 
 def environment() -> NDArray[np.float32]:
-    """Return radiance over the latlong map, shape [512, 1024]; the lamp has a quarter of the flux."""
+    """Return radiance over the latlong map, shape [512, 1024]; a quarter is from the lamp."""
     polar, azimuth = np.meshgrid(
         np.pi * (np.arange(MAP_ROWS) + 0.5) / MAP_ROWS,
         np.pi * (np.arange(2 * MAP_ROWS) + 0.5) / MAP_ROWS,

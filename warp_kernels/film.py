@@ -22,7 +22,7 @@ from usdskin.warp_kernels.structs import (
 
 wp.set_module_options({"enable_backward": False})
 
-MAX_LAYERS = wp.constant(16)
+MAX_LAYERS = wp.constant(64)
 
 
 @wp.struct
@@ -163,6 +163,15 @@ def surface_opacity(geometry: Geometry, materials: Materials, point: Point) -> w
 
 
 @wp.func
+def deposit_dome(
+    lights: Lights, film: Film, pixel: wp.int32, direction: wp.vec3f, weight: wp.float32
+):
+    """Deposit what the domes show towards a direction."""
+    for g in range(lights.group_count):
+        film.channel[pixel, g] += weight * lookup_dome(lights, g, direction)
+
+
+@wp.func
 def shines_when_clear(materials: Materials, material: wp.int32) -> bool:
     """Return whether a surface reflects at opacity 0: transparent, and not cut out."""
     flags = materials.flags[material]
@@ -205,6 +214,7 @@ def _picture_kernel(
         ray.width = ray.width * sharpness
         clear = float(1.0)
         start = float(0.0)
+        seen_through = int(1)
         for layer in range(MAX_LAYERS):
             face = int(-1)
             at = wp.vec3f(0.0, 0.0, 0.0)
@@ -227,10 +237,9 @@ def _picture_kernel(
                     if current != dome:
                         finish_rows(materials, film, pixel, current, share)
                         current = dome
-                    for g in range(lights.group_count):
-                        seen = lookup_dome(lights, g, ray.direction)
-                        film.channel[pixel, g] += clear * seen
+                    deposit_dome(lights, film, pixel, ray.direction, clear)
                     alpha += clear
+                seen_through = 0
                 break
             distance = start + at[2]
             point = surface_point(geometry, ray, face, at[0], at[1], distance)
@@ -248,7 +257,14 @@ def _picture_kernel(
             clear = clear * (1.0 - opacity)
             start = distance * 1.000001 + 1.0e-6
             if clear < 1.0e-4 or start >= ray.length:
+                seen_through = 0
                 break
+        if seen_through != 0 and film.show_dome != 0:  # more layers than are counted
+            if current != dome:
+                finish_rows(materials, film, pixel, current, share)
+                current = dome
+            deposit_dome(lights, film, pixel, ray.direction, clear)
+            alpha += clear
     finish_rows(materials, film, pixel, current, share)
     total = film.xyza[pixel]
     film.xyza[pixel] = wp.vec4f(total[0], total[1], total[2], share * alpha)

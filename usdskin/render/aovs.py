@@ -113,7 +113,7 @@ def _var_source(var: UsdRender.Var, notes: list[Note]) -> str | None:
     elif kind == "primvar":
         source = "st" if wanted.removeprefix("primvars:") == "st" else None
     else:
-        source = _SOURCES.get(wanted.lower()) or _SOURCES.get(name.lower())
+        source = _SOURCES.get(wanted.lower())
     if source is None:
         traced = wanted in _TRACED_SOURCES
         reason = "only the traced integrator measures it" if traced else "not known here"

@@ -178,6 +178,11 @@ def _chosen_skin(
     chosen = overrides.material
     if chosen is None and len(paths) == 1:
         chosen = paths[0]
+    if chosen is not None and overrides.wrap is not None:
+        raise UsageError(
+            f"--wrap {overrides.wrap:g}: is for a white surface, and this map is <{chosen}>'s; "
+            "leave it out, or change the material's inputs:skin:wrap."
+        )
     if chosen is None:
         wrap = SkinParameters().wrap if overrides.wrap is None else overrides.wrap
         return SkinMaterial("", SkinParameters(wrap=wrap))

@@ -17,6 +17,7 @@ from usdskin.notes import Note
 from usdskin.render.aovs import Aov, WantedParts, read_vars, requested_aovs
 from usdskin.render.cameras import find_camera
 from usdskin.render.opinions import (
+    RESOLUTION_LIMIT,
     choose,
     data_window,
     one_of,
@@ -212,7 +213,8 @@ def _resolution(
         width = DEFAULT_WIDTH
     if width is None:
         return choose((), "", resolution, (1, 1), "-r/--resolution", overrides.resolution)
-    choose((), "", resolution, (1, 1), "-w/--width", (width, 1))
+    if not 1 <= width <= RESOLUTION_LIMIT:
+        raise UsageError(f"-w/--width {width}: must be from 1 to {RESOLUTION_LIMIT} pixels.")
     size = width, max(1, round(width * pixel_aspect / _camera_aspect(camera, time)))
     return choose((), "", resolution, (1, 1), "-w/--width", size)
 

@@ -245,6 +245,12 @@ def _thickness_range(scene: Scene) -> dict[str, float]:
         for mesh in scene.meshes:
             values = mesh.primvars.get(material.thickness_primvar)
             if values is not None and material.path in mesh.material_paths:
+                usable = np.isfinite(values) & (values >= 0.0)
+                if not usable.all():
+                    raise LayerError(
+                        f"<{mesh.path}>: primvars:{material.thickness_primvar} holds "
+                        f"{values[~usable][0]:g}; a thickness is 0 or more metres, so correct it."
+                    )
                 found = max(float(values.max()), largest.get(material.path, 0.0))
                 largest[material.path] = max(found, material.parameters.thickness)
     return largest

@@ -205,7 +205,7 @@ def _passage(
     if largest <= 0.0:
         return Passage(np.ones((1, 1)), np.exp(-skin.thickness * opacity)[None], 1.0, 0.0)
     scale = 1.0 / float(np.median(opacity[opacity > 0.0]))
-    last = largest / (largest + scale)
+    last = min(largest / (largest + scale), 1.0 - 1e-9)
     place = np.linspace(0.0, last, PASSAGE_ENTRIES)
     exact = np.exp(-(scale * place / (1.0 - place))[:, None] * opacity)
     left, sizes, right = np.linalg.svd(exact, full_matrices=False)
