@@ -19,6 +19,7 @@ def pytest_configure(config: pytest.Config) -> None:
         import warp as wp
 
         wp.config.mode = "debug"
+        wp.config.enable_tiles_in_stack_memory = False  # as open_workers sets it
 
 
 def _devices() -> list[str]:

@@ -88,6 +88,8 @@ def open_workers(device: str = "auto", threads: int | None = None) -> Workers:
     """
     # Warp greets on stdout, which belongs to the paths a command prints.
     wp.config.log_level = wp.LOG_ERROR
+    # Concurrent launches on the CPU would share one static tile buffer, which crashes in debug mode.
+    wp.config.enable_tiles_in_stack_memory = False
     with _without_native_warnings():
         wp.init()
     if device == "auto":

@@ -25,7 +25,7 @@ MAX_PATCH_MOMENT = 1.0e-3
 LAMP_SHARE = 4.0e-3
 """A leaf with more of the total flux than this is a lamp, shaded by itself at every normal."""
 
-MAX_LAMPS = 64
+MAX_LAMPS = 256
 
 _LEAST_ROWS = 96
 
