@@ -88,7 +88,7 @@ def open_workers(device: str = "auto", threads: int | None = None) -> Workers:
     """
     # Warp greets on stdout, which belongs to the paths a command prints.
     wp.config.log_level = wp.LOG_ERROR
-    # Concurrent launches on the CPU would share one static tile buffer, which crashes in debug mode.
+    # Concurrent launches on the CPU would share one static tile buffer: debug mode crashes.
     wp.config.enable_tiles_in_stack_memory = False
     with _without_native_warnings():
         wp.init()
