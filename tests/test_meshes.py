@@ -568,7 +568,7 @@ def test_skinned_mesh_is_noted():
 
 
 @pytest.mark.realdata
-def test_real_body_is_subdivided_without_a_flaw(realdata, capsys):
+def test_real_body_is_subdivided_without_a_flaw(realdata):
     points, faces = _read_group(realdata / "heads" / "makehuman" / "base.obj", "body")
     stage = Usd.Stage.CreateInMemory()
     mesh = UsdGeom.Mesh.Define(stage, "/Body")
