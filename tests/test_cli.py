@@ -343,12 +343,18 @@ def test_sigterm_exits_with_143_and_gives_the_signal_back(step, capsys):
 
 
 def test_sigint_exits_with_130(step):
+    # A job in the background of a shell starts with SIGINT ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+
     def work():
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(10)
 
     step.does = work
-    assert cli.main(["render", "shot.usda"]) == 130
+    try:
+        assert cli.main(["render", "shot.usda"]) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_main_may_run_outside_the_main_thread(step):

@@ -7,6 +7,7 @@ light's structure and not the picture's resolution.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -105,6 +106,7 @@ def build_environment(
     to_world: NDArray[np.float64],
     *,
     max_lamps: int = MAX_LAMPS,
+    threads: int = 1,
 ) -> Environment:
     """Build the patch tree of a latlong map whose texels are constant patches.
 
@@ -114,6 +116,7 @@ def build_environment(
             deciding where the light is strong, shape [r].
         to_world: Rotation from the light's frame, shape [3, 3].
         max_lamps: The most lamps to take out.
+        threads: Threads to sum with; the result does not depend on them.
     """
     coefficients = refined(coefficients)
     height, width, channels = coefficients.shape
@@ -123,7 +126,7 @@ def build_environment(
     shape = (-(-height // side) * side, -(-width // side) * side)
     rows, columns = _texel_integrals(height, width)
     energy = _pad(strength * (rows[0][:, None] * columns[0][None, :]), shape)
-    pyramid = _index_moments(energy, levels)
+    pyramid = _index_moments(energy, levels, threads)
     total = float(pyramid[-1][0].sum())
     nodes = _select_nodes(pyramid, total, height, width)
     geometry = _node_geometry(nodes, height, width, to_world)
@@ -135,7 +138,7 @@ def build_environment(
     for group in range(groups):
         part = coefficients[:, :, 4 * group : 4 * group + 4]
         used = part.shape[2]
-        local = _gather_moments(part, rows, columns, nodes, levels, shape)
+        local = _gather_moments(part, rows, columns, nodes, levels, shape, threads)
         flux[group, :, :used] = local[0]
         moment[:, group, :, :used] = np.einsum("ij,jnc->inc", to_world, local[1:])
 
@@ -263,16 +266,23 @@ def _halve(image: NDArray[Any]) -> NDArray[Any]:
     return total
 
 
-def _index_moments(energy: NDArray[Any], levels: int) -> list[NDArray[np.float64]]:
+def _index_moments(energy: NDArray[Any], levels: int, threads: int) -> list[NDArray[np.float64]]:
     """Return per level the sums of e, e i, e j, e i^2, e j^2, shape [5, rows, columns]."""
     energy = energy.astype(np.float64)
     i = np.arange(energy.shape[0])[:, None] + 0.5
     j = np.arange(energy.shape[1])[None, :] + 0.5
-    stack = [energy, energy * i, energy * j, energy * i * i, energy * j * j]
-    pyramid = [np.stack(stack)]
-    for _ in range(levels):
-        pyramid.append(np.stack([_halve(plane) for plane in pyramid[-1]]))
-    return pyramid
+    weights = (None, i, j, i * i, j * j)
+
+    def pyramid(which: int) -> list[NDArray[np.float64]]:
+        weight = weights[which]
+        planes = [energy if weight is None else energy * weight]
+        for _ in range(levels):
+            planes.append(_halve(planes[-1]))
+        return planes
+
+    with ThreadPoolExecutor(threads) as pool:
+        planes = list(pool.map(pyramid, range(5)))
+    return [np.stack([part[level] for part in planes]) for level in range(levels + 1)]
 
 
 def _block_radius(
@@ -368,10 +378,12 @@ def _gather_moments(
     nodes: _Nodes,
     levels: int,
     shape: tuple[int, int],
+    threads: int,
 ) -> NDArray[np.float64]:
     """Return Int c dL and Int c L dL of every node for up to four channels, [4, count, c]."""
     result = np.zeros((4, len(nodes.level), part.shape[2]))
-    for k in range(4):
+
+    def gather(k: int) -> None:
         weight = (rows[k][:, None] * columns[k][None, :]).astype(np.float32)
         image = _pad(part * weight[:, :, None], shape)
         for level in range(levels + 1):
@@ -379,6 +391,9 @@ def _gather_moments(
                 image = _halve(image)
             at = nodes.level == level
             result[k, at] = image[nodes.row[at], nodes.column[at]]
+
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(gather, range(4)))
     return result
 
 

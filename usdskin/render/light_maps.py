@@ -89,7 +89,7 @@ def build_light_field(
     sizes, errors = [], []
     begin, used = 0, 0
     for dome, count in zip(lights.domes, groups, strict=True):
-        environment = dome_environment(dome)
+        environment = dome_environment(dome, workers.threads)
         blocks.append(environment.lamp_blocks[: environment.gloss_lamp_count])
         _fill_basis(basis[begin : begin + count], dome.basis)
         if environment.tree.skip.size:
@@ -188,9 +188,10 @@ def banded(lights: Lights) -> Lights:
     )
 
 
-def dome_environment(dome: DomeLight) -> Environment:
+def dome_environment(dome: DomeLight, threads: int = 1) -> Environment:
     """Return the patch tree of a dome, refined where its spectra are strong."""
-    return build_environment(dome.coefficients, _channel_scale(dome), dome.to_world)
+    scale = _channel_scale(dome)
+    return build_environment(dome.coefficients, scale, dome.to_world, threads=threads)
 
 
 def _channel_scale(dome: DomeLight) -> NDArray[np.float64]:

@@ -6,6 +6,7 @@ Reads: any stage. Makes: ``Scene``, which knows no USD, and from it ``DeviceScen
 from __future__ import annotations
 
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -193,8 +194,41 @@ def upload(
         brute: Shade every band from every texel, without factorisation and maps, as the oracle.
     """
     device = workers.device
-    wraps = wraps_of(scene.materials)
-    bands = len(scene.frame.wavelength_nm)
+    rows = {name: k for k, name in enumerate(sorted(_primvar_names(scene)))}
+    thickness = _thickness_range(scene)
+    with ThreadPoolExecutor(1) as pool:  # beside the lights, which take as long
+        uploading = pool.submit(_upload_geometry, scene, rows, device)
+        light = _bake(scene, workers, show_dome, brute)
+        geometry, mesh, faces = uploading.result()
+    surfaces = build_surfaces(
+        scene.materials,
+        light.basis,
+        scene.frame,
+        wraps_of(scene.materials),
+        rows,
+        thickness,
+        device,
+    )
+    st = rows["st"] if any("st" in mesh.primvars for mesh in scene.meshes) else -1
+    return (
+        DeviceScene(
+            geometry,
+            light.device_lights,
+            surfaces.device_materials,
+            surfaces.max_rows,
+            len(scene.frame.wavelength_nm),
+            st,
+            faces,
+            surfaces.albedo,
+            (mesh,),
+        ),
+        light,
+    )
+
+
+def _bake(scene: Scene, workers: Workers, show_dome: bool, brute: bool) -> LightField:
+    """Return the light at every normal, its reflections, and the domes the camera sees."""
+    wraps, bands = wraps_of(scene.materials), len(scene.frame.wavelength_nm)
     lights = scene.lights
     if brute:
         light = build_brute_field(lights, wraps, workers, bands)
@@ -203,33 +237,8 @@ def upload(
         light = build_light_field(lights, wraps, workers, bands)
     alphas = gloss_alphas(scene.materials, LADDER)
     add_reflections(light.device_lights, lights, light.reflected_blocks, alphas, workers)
-    show_domes(light.device_lights, lights, show_dome, device)
-    rows = {name: k for k, name in enumerate(sorted(_primvar_names(scene)))}
-    surfaces = build_surfaces(
-        scene.materials,
-        light.basis,
-        scene.frame,
-        wraps,
-        rows,
-        _thickness_range(scene),
-        device,
-    )
-    geometry, mesh, faces = _upload_geometry(scene, rows, device)
-    st = rows["st"] if any("st" in mesh.primvars for mesh in scene.meshes) else -1
-    return (
-        DeviceScene(
-            geometry,
-            light.device_lights,
-            surfaces.device_materials,
-            surfaces.max_rows,
-            bands,
-            st,
-            faces,
-            surfaces.albedo,
-            (mesh,),
-        ),
-        light,
-    )
+    show_domes(light.device_lights, lights, show_dome, workers.device)
+    return light
 
 
 def _primvar_names(scene: Scene) -> frozenset[str]:
