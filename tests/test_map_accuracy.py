@@ -35,7 +35,7 @@ WRAPS = (0.0, 0.3, 0.7, 1.0)
 BOUND = 1.0e-3
 """Of the peak over all normals: DESIGN section 7."""
 
-SPLIT_BOUND = 5.0e-3
+SPLIT_BOUND = 1.0e-3
 """Of the peak of J2, for its two parts."""
 
 TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
@@ -167,7 +167,7 @@ def test_the_wrap_term_splits_into_light_from_before_and_from_behind(
     H jumps where a texel crosses the horizon, which no map of nodes follows: hence a wider bound.
     """
     light, normals, lambert, half, wraps = truth(environment)
-    field = build_light_field(Lights((light,), ()), WRAPS, workers, 3)
+    field = build_light_field(Lights((light,), ()), WRAPS, workers, 3, split=True)
     for index, (wrap, wrapped) in enumerate(zip(WRAPS, wraps, strict=True)):
         front = (lambert + wrap * half) / (1.0 + wrap)
         j1, j2, h = look_up(field, normals, index, 3, workers.device)

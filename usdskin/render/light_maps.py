@@ -63,7 +63,11 @@ class _Lamps:
 
 
 def build_light_field(
-    lights: Lights, wraps: tuple[float, ...], workers: Workers, wavelength_count: int
+    lights: Lights,
+    wraps: tuple[float, ...],
+    workers: Workers,
+    wavelength_count: int,
+    split: bool = False,
 ) -> LightField:
     """Integrate the stage's lights over both kernels.
 
@@ -72,6 +76,7 @@ def build_light_field(
         wraps: The values of l that materials use, one map set each.
         workers: Where to compute.
         wavelength_count: Bands of the lights' spectra.
+        split: Whether light from before and from behind is told apart (materials with opacity).
 
     Returns:
         The field; ``device_lights`` has no reflections and no visible dome yet.
@@ -93,7 +98,7 @@ def build_light_field(
         blocks.append(environment.lamp_blocks[: environment.gloss_lamp_count])
         _fill_basis(basis[begin : begin + count], dome.basis)
         if environment.tree.skip.size:
-            maps, size, error = bake_maps(environment, wraps, _channel_scale(dome), workers)
+            maps, size, error = bake_maps(environment, wraps, _channel_scale(dome), workers, split)
             for w in range(len(wraps)):
                 for kernel in range(3):
                     for g in range(count):

@@ -234,7 +234,8 @@ def _bake(scene: Scene, workers: Workers, show_dome: bool, brute: bool) -> Light
         light = build_brute_field(lights, wraps, workers, bands)
         lights = banded(lights)
     else:
-        light = build_light_field(lights, wraps, workers, bands)
+        split = any(isinstance(m, SkinMaterial) and m.thickness_primvar for m in scene.materials)
+        light = build_light_field(lights, wraps, workers, bands, split)
     alphas = gloss_alphas(scene.materials, LADDER)
     add_reflections(light.device_lights, lights, light.reflected_blocks, alphas, workers)
     show_domes(light.device_lights, lights, show_dome, workers.device)

@@ -22,6 +22,9 @@ MAP_ERROR_TARGET = 2.5e-4
 MAP_ROWS = (32, 64, 128, 256, 512)
 """Sizes tried, in order: H rows of nodes, 2 H columns."""
 
+SPLIT_ROWS = (128, 256, 512)
+"""The same where H is looked up: its error is not measured, and 128 rows hold it to 1e-3."""
+
 
 def to_device(environment: Environment, device: str) -> reflectance_map.PatchTree:
     """Copy an environment's tree to a device."""
@@ -77,6 +80,7 @@ def bake_maps(
     wraps: tuple[float, ...],
     channel_scale: NDArray[np.float64],
     workers: Workers,
+    split: bool = False,
 ) -> tuple[list[list[list[NDArray[np.float32]]]], int, float]:
     """Integrate the maps of one environment for every wrap.
 
@@ -85,6 +89,7 @@ def bake_maps(
         wraps: Values of l.
         channel_scale: The peak of each channel's basis spectrum, shape [r].
         workers: Where to compute.
+        split: Whether H is looked up too; it has steps, and needs a finer grid.
 
     Returns:
         Padded node grids [wrap][kernel][group], of shape [(rows + 3) (2 rows + 3), 4] each, in
@@ -105,7 +110,7 @@ def bake_maps(
         max(_strength(part[1], scale).max(), 1e-30) + _lamp_peak(environment.lamps, scale)
         for part in truth
     ]
-    for rows in MAP_ROWS:
+    for rows in SPLIT_ROWS if split else MAP_ROWS:
         grids = [
             integrate_normals(tree, node_normals(rows), wrap, groups, workers) for wrap in wraps
         ]
