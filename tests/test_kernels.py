@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 from kernel_probes import probe_fresnel, probe_gloss, probe_means, probe_texture
 
-from usdskin.render.device import Workers
+from usdskin.device import Workers
 from usdskin.render.gloss import add_reflections, fresnel_table
 from usdskin.render.lights import DomeLight, Lights
 from usdskin.render.textures import Texture, mip_pyramid, pack_textures

@@ -19,7 +19,7 @@ from light_oracle import (
 )
 from numpy.typing import NDArray
 
-from usdskin.render.device import Workers, open_workers
+from usdskin.device import Workers, open_workers
 from usdskin.render.environment import build_environment
 from usdskin.render.light_maps import LightField, build_light_field, dome_environment
 from usdskin.render.lights import DomeLight, Lights

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from usdskin.render.device import Workers, open_workers
+from usdskin.device import Workers, open_workers
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]

@@ -101,7 +101,7 @@ def _warp_facts() -> list[tuple[str, str]]:
     from importlib import import_module
 
     try:
-        from usdskin.render.device import open_workers
+        from usdskin.device import open_workers
 
         warp: Any = import_module("warp")
     except ImportError:

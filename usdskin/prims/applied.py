@@ -17,6 +17,9 @@ _MULTIPLE_APPLY = ("SpectralDistributionAPI", "SpectralRecoveryAPI")
 
 # Namespaces that nobody else writes to, and the schema that owns them.
 _NAMESPACES = {
+    "bracket:": "ExposureBracketAPI",
+    "capture:": "CaptureAPI",
+    "fisheye:": "FisheyeCameraAPI",
     "inputs:skin:": "SkinMaterialAPI",
     "inputs:spectral:": "SpectralLightAPI",
     "usdskin:": "SkinRenderSettingsAPI",

@@ -281,6 +281,12 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
         above("bracket:iso", 0.0, inclusive=False),
         above("bracket:fNumbers", 0.0, inclusive=False),
         above("bracket:ndFactors", 1.0),
+        one_per("bracket:gain", "bracket:images", or_single=True),
+        one_per("bracket:readNoise", "bracket:images", or_single=True),
+        above("bracket:gain", 0.0, inclusive=False),
+        above("bracket:readNoise", 0.0),
+        counts("bracket:blackLevel", (0, 1, 3), "one, or one per channel"),
+        counts("bracket:whiteLevel", (0, 1, 3), "one, or one per channel"),
         _levels,
     ),
     "ColorChartAPI": (

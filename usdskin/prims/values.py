@@ -28,6 +28,7 @@ _TEMPLATE_INSTANCE = "__INSTANCE_NAME__"
 
 _TUPLE_WIDTHS = {
     "double2": 2,
+    "double3": 3,
     "double4": 4,
     "float2": 2,
     "int2": 2,

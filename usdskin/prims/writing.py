@@ -44,6 +44,9 @@ def write_schema(
     for name, value in values.items():
         if isinstance(value, Path):
             prim.GetAttribute(name).Set(Sdf.AssetPath(_relative(prim, value, folder)))
+        elif isinstance(value, list) and value and isinstance(value[0], Path):
+            files = [_relative(prim, file, folder) for file in value]
+            prim.GetAttribute(name).Set(Sdf.AssetPathArray(files))
         elif isinstance(value, np.ndarray):
             array = np.ravel(value).astype(np.float64)
             prim.GetAttribute(name).Set(Vt.DoubleArray.FromNumpy(array))

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from usdskin.latlong import latlong_directions
+
 MAX_PATCH_RADIUS = 0.3
 """Largest chord radius of a leaf."""
 
@@ -81,23 +83,6 @@ class Environment:
 def group_count(channel_count: int) -> int:
     """Return how many groups of four hold that many channels."""
     return -(-channel_count // 4)
-
-
-def latlong_directions(
-    azimuth_turns: NDArray[np.float64], polar: NDArray[np.float64]
-) -> NDArray[Any]:
-    """Return UsdLux's latlong directions in the light's frame, shape [..., 3].
-
-    u = 0.5 is +Z, u = 0.25 is +X, v = 0 is +Y, whatever the stage's up axis.
-
-    Args:
-        azimuth_turns: u, 0 to 1 from the left edge.
-        polar: Angle from +Y [rad], v times pi.
-    """
-    angle = 2.0 * np.pi * azimuth_turns
-    return np.stack(
-        [np.sin(polar) * np.sin(angle), np.cos(polar), -np.sin(polar) * np.cos(angle)], axis=-1
-    )
 
 
 def build_environment(

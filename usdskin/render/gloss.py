@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from usdskin.render.device import Workers
+from usdskin.device import Workers
 from usdskin.render.environment import group_count, refined
 from usdskin.render.lights import DomeLight, Lights
 from usdskin.warp_kernels import specular, structs

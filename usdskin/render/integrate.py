@@ -13,9 +13,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from usdskin.device import Workers
 from usdskin.progress import Progress
 from usdskin.render.cameras import Camera
-from usdskin.render.device import Workers
 from usdskin.render.film import sample_offsets
 from usdskin.render.projection import project
 from usdskin.render.surfaces import band_groups

@@ -12,8 +12,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from usdskin.device import Workers, vec3, vec4
 from usdskin.errors import UsageError
-from usdskin.render.device import Workers, vec3, vec4
 from usdskin.render.environment import (
     Environment,
     Patches,

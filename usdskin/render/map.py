@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from usdskin import __version__
 from usdskin.colorimetry import xyz_to_rgb, xyz_weights
+from usdskin.device import open_workers
 from usdskin.errors import LayerError, UsageError
 from usdskin.image_output import write_spectral_exr
+from usdskin.latlong import latlong_directions
 from usdskin.notes import Note
 from usdskin.prims import SkinParameters
 from usdskin.progress import Progress
-from usdskin.render.device import open_workers
-from usdskin.render.environment import latlong_directions
 from usdskin.render.light_maps import build_light_field
 from usdskin.render.lights import Lights, read_lights
 from usdskin.render.materials import SkinMaterial, read_materials

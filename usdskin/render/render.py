@@ -9,12 +9,12 @@ from __future__ import annotations
 import time as clock
 from pathlib import Path
 
+from usdskin.device import Workers, open_workers
 from usdskin.errors import FramesError, UsdSkinError
 from usdskin.frames import frame_path
 from usdskin.notes import Note
 from usdskin.progress import Progress
 from usdskin.render.cameras import read_camera
-from usdskin.render.device import Workers, open_workers
 from usdskin.render.integrate import DeviceScene, collect_data, integrate
 from usdskin.render.light_maps import LightField
 from usdskin.render.opening import opened

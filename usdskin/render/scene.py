@@ -14,10 +14,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from usdskin.colorimetry import xyz_weights
+from usdskin.device import Workers
 from usdskin.errors import LayerError
 from usdskin.layers import describe
 from usdskin.notes import Note
-from usdskin.render.device import Workers
 from usdskin.render.gloss import LADDER, add_reflections, show_domes
 from usdskin.render.gprims import is_gprim, read_gprim, unsupported_note
 from usdskin.render.integrate import DeviceScene, Faces

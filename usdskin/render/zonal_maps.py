@@ -12,8 +12,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from usdskin.render.device import Workers, vec3, vec4
-from usdskin.render.environment import Environment, Patches, latlong_directions
+from usdskin.device import Workers, vec3, vec4
+from usdskin.latlong import latlong_directions
+from usdskin.render.environment import Environment, Patches
 from usdskin.warp_kernels import reflectance_map
 
 MAP_ERROR_TARGET = 2.5e-4

@@ -1,0 +1,1 @@
+"""Capture: photographs become one calibrated omnidirectional HDR environment, as USD."""

@@ -1,0 +1,1 @@
+"""Judge: virtual photographs of known light, and how far a reproduction is from the truth."""
