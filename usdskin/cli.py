@@ -18,7 +18,7 @@ from typing import Any
 import click
 
 from usdskin import __version__
-from usdskin.commands import files, pictures, system
+from usdskin.commands import capture, files, lens, photograph, pictures, system
 from usdskin.commands.options import StepCommand, global_options, with_paragraph_marks
 from usdskin.commands.reporter import GlobalOptions, print_event
 from usdskin.errors import EXIT_DEVICE, EXIT_INPUT, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, UsdSkinError
@@ -74,7 +74,15 @@ def cli() -> None:
     """
 
 
-for _command in (*files.MAKING, *pictures.COMMANDS, *files.READING, *system.COMMANDS):
+for _command in (
+    *files.MAKING,
+    *photograph.COMMANDS,
+    *capture.COMMANDS,
+    lens.calibrate,
+    *pictures.COMMANDS,
+    *files.READING,
+    *system.COMMANDS,
+):
     cli.add_command(_command)
 
 

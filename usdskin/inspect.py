@@ -6,6 +6,7 @@ Makes: a report of plain values, the same for people and programs.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -60,6 +61,8 @@ def _stage_report(path: Path, stage: Any, notes: list[Note]) -> Report:
         ("lights", lambda prim: prim.HasAPI(UsdLux.LightAPI), _light_row),
         ("materials", lambda prim: prim.IsA(UsdShade.Material), _material_row),
         ("meshes", lambda prim: prim.IsA(UsdGeom.Gprim), _gprim_row),
+        ("captures", lambda prim: prim.HasAPI("CaptureAPI"), _capture_row),
+        ("views", lambda prim: prim.HasAPI("FisheyeCameraAPI"), _view_row),
         ("renderSettings", lambda prim: prim.IsA(UsdRender.Settings), _settings_row),
         ("variants", lambda prim: prim.HasVariantSets(), _variant_row),
     )
@@ -135,6 +138,55 @@ def _camera_row(prim: Any) -> Row:
     row: Row = {name: _value(prim, name) for name in ("projection", "focalLength")}
     horizontal, vertical = _value(prim, "horizontalAperture"), _value(prim, "verticalAperture")
     return {**row, "aperture": f"{_shown(horizontal)} x {_shown(vertical)}"}
+
+
+def _capture_row(prim: Any) -> Row:
+    from usdskin.prims.values import DEFAULT_TIME, read_schema
+
+    values = read_schema(prim, "CaptureAPI", DEFAULT_TIME)
+    panorama = values["capture:panorama:file"]
+    row: Row = {
+        "session": values["capture:session"] or None,
+        "time": values["capture:time"] or None,
+    }
+    row |= {f"{name} [{unit}]": values[f"capture:{name}"] or None
+            for name, unit in (("illuminance", "lx"), ("luminance", "cd/m2"))}  # fmt: skip
+    if panorama is None:
+        return row | {"panorama": None}
+    lamps = values["capture:lamps:shares"]
+    shares = ("coverage", "clippedShare", "movedShare", "noise", "fluxError")
+    return {
+        **row,
+        "panorama": panorama.name,
+        "units": values["capture:units"],
+        **{name: values[f"capture:{name}"] for name in shares},
+        "rotationResidual [deg]": values["capture:rotationResidual"],
+        "clippedLamps": _length(lamps),
+    }
+
+
+def _view_row(prim: Any) -> Row:
+    from usdskin.prims import read_bracket, read_lens
+
+    lens = read_lens(prim)
+    row: Row = {
+        "projection": lens.projection,
+        "focal [px]": lens.focal_length_px,
+        "maxAngle [deg]": lens.max_angle_deg,
+        "size": f"{lens.resolution[0]} x {lens.resolution[1]}",
+        "glare": lens.glare,
+    }
+    if not prim.HasAPI("ExposureBracketAPI"):
+        return row
+    bracket = read_bracket(prim)
+    times = bracket.exposure_time_s
+    stops = math.log2(bracket.exposure.max() / bracket.exposure.min())
+    return {
+        **row,
+        "images": len(bracket.images),
+        "times [s]": f"{times.min():g} to {times.max():g}",
+        "range [stops]": round(stops, 1),
+    }
 
 
 def _light_row(prim: Any) -> Row:

@@ -52,3 +52,14 @@ def texel_solid_angles(height: int, width: int) -> NDArray[np.float64]:
     """
     edges = np.cos(np.arange(height + 1) * np.pi / height)
     return np.asarray((edges[:-1] - edges[1:]) * (2.0 * np.pi / width))
+
+
+def latlong_from_world(up_axis: str) -> NDArray[np.float64]:
+    """Return the rotation that brings a stage's up to the pole +Y, shape [3, 3].
+
+    Args:
+        up_axis: ``Y`` or ``Z``. With Z up, +Z becomes +Y and +Y becomes -Z.
+    """
+    if up_axis == "Y":
+        return np.eye(3)
+    return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

@@ -49,7 +49,7 @@ class Reporter:
         self.quiet = options.quiet
         self._progress: Progress = SilentProgress()
 
-    def event(self, name: str, **fields: Any) -> None:
+    def event(self, name: str, /, **fields: Any) -> None:
         """Print one event; only with ``--json``."""
         if self.json:
             print_event(name, **fields)
@@ -113,7 +113,7 @@ class Reporter:
             raise FramesError(f"{len(report.failures)} frames failed ({listed}); {first}: {reason}")
 
 
-def print_event(name: str, **fields: Any) -> None:
+def print_event(name: str, /, **fields: Any) -> None:
     """Print one object on a line of its own; numbers that JSON has not are null."""
     print(json.dumps({"event": name, **_finite(fields)}, default=str), flush=True)
 

@@ -132,7 +132,8 @@ def _property_problems(prim: Usd.Prim, applied: list[str]) -> Iterator[Problem]:
 
 
 def _owned_problems(names: list[str], schema: str, is_applied: bool) -> Iterator[Problem]:
-    declared = tuple(item.name for item in declared_attributes(schema))
+    definition = Usd.SchemaRegistry().FindAppliedAPIPrimDefinition(schema)
+    declared = tuple(str(name) for name in definition.GetPropertyNames())
     for name in names:
         yield from _one_property(name, name, declared, schema, is_applied)
 

@@ -312,25 +312,27 @@ def read_bracket(prim: Usd.Prim) -> ExposureBracket:
             text = "has no value; copy it from the photographs' EXIF, or from the shooting notes"
             raise PrimError(prim, Problem("missing-value", name, text))
 
-    def per_image(name: str, fallback: float | None = None) -> FloatArray | None:
+    def per_image(name: str, fallback: float) -> FloatArray:
+        given = optional(name)
+        return np.full(len(images), fallback) if given is None else given
+
+    def optional(name: str) -> FloatArray | None:
         given = values[name]
         if given is None or len(given) == 0:
-            return None if fallback is None else np.full(len(images), fallback)
+            return None
         return np.broadcast_to(given, len(images)).astype(np.float64)
 
-    for name in ("bracket:gain", "bracket:readNoise"):
-        if values[name] is not None and len(values[name]) == 0:
-            values[name] = None
+    black = _levels(values["bracket:blackLevel"])
     return ExposureBracket(
         images=tuple(images),
         exposure_time_s=values["bracket:exposureTimes"],
         iso=per_image("bracket:iso", 100.0),
         f_number=per_image("bracket:fNumbers", 1.0),
         nd_factor=per_image("bracket:ndFactors", 1.0),
-        black_level=_levels(values["bracket:blackLevel"], np.zeros(1)),
-        white_level=_levels(values["bracket:whiteLevel"], None),
-        gain=per_image("bracket:gain"),
-        read_noise=per_image("bracket:readNoise"),
+        black_level=np.zeros(1) if black is None else black,
+        white_level=_levels(values["bracket:whiteLevel"]),
+        gain=optional("bracket:gain"),
+        read_noise=optional("bracket:readNoise"),
         transfer=values["bracket:transfer"],
         response_file=values["bracket:response:file"],
         dark_file=values["bracket:dark:file"],
@@ -338,8 +340,8 @@ def read_bracket(prim: Usd.Prim) -> ExposureBracket:
     )
 
 
-def _levels(given: FloatArray | None, fallback: FloatArray | None) -> FloatArray | None:
-    return fallback if given is None or len(given) == 0 else given
+def _levels(given: FloatArray | None) -> FloatArray | None:
+    return None if given is None or len(given) == 0 else given
 
 
 def _matrix(prim: Usd.Prim) -> FloatArray:

@@ -222,7 +222,7 @@ def _number(declared: Declared, value: Any) -> float | int:
     with np.errstate(over="ignore"):
         single = np.float32(value)
     # An author who wrote 0.3 meant 0.3, and not the float next to it.
-    return float(str(single)) if single == value else float(value)
+    return float(str(single)) if float(single) == value else float(value)
 
 
 def _text(declared: Declared, value: Any) -> str:
