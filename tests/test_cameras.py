@@ -367,3 +367,12 @@ def test_cameras_inside_instances_are_found():
     instance.SetInstanceable(True)
     assert find_camera(stage).GetPath() == "/Shot/Rig/Cam"
     assert read_camera(stage, "/Shot/Rig/Cam", TIME, (2, 1)).path == "/Shot/Rig/Cam"
+
+
+def test_the_views_of_a_capture_are_not_rendered_from_unless_named():
+    stage = _stage()
+    _camera(stage)
+    view = _camera(stage, "/Capture/view").GetPrim()
+    view.ApplyAPI("FisheyeCameraAPI")
+    assert find_camera(stage).GetPath() == Sdf.Path("/Cam")
+    assert find_camera(stage, "/Capture/view") == view

@@ -57,7 +57,7 @@ def _stage_report(path: Path, stage: Any, notes: list[Note]) -> Report:
     problems: list[str] = []
     report: Report = {"file": str(path), "kind": "stage", "summary": _stage_summary(stage)}
     kinds: Sequence[tuple[str, Callable[[Any], bool], Callable[[Any], Row]]] = (
-        ("cameras", lambda prim: prim.IsA(UsdGeom.Camera), _camera_row),
+        ("cameras", _is_render_camera, _camera_row),
         ("lights", lambda prim: prim.HasAPI(UsdLux.LightAPI), _light_row),
         ("materials", lambda prim: prim.IsA(UsdShade.Material), _material_row),
         ("meshes", lambda prim: prim.IsA(UsdGeom.Gprim), _gprim_row),
@@ -75,12 +75,19 @@ def _stage_report(path: Path, stage: Any, notes: list[Note]) -> Report:
                     report[name].append({"path": str(prim.GetPath()), **row(prim)})
                 except UsdSkinError as error:
                     problems.append(str(error))
-    _try_reading(stage, notes, problems)
+    if report["meshes"] or not report["captures"]:
+        _try_reading(stage, notes, problems)
     report["notes"] = [
         {"code": note.code, "path": note.path, "message": note.message} for note in notes
     ]
     report["problems"] = list(dict.fromkeys(problems))
     return report
+
+
+def _is_render_camera(prim: Any) -> bool:
+    from pxr import UsdGeom
+
+    return prim.IsA(UsdGeom.Camera) and not prim.HasAPI("FisheyeCameraAPI")
 
 
 def _try_reading(stage: Any, notes: list[Note], problems: list[str]) -> None:

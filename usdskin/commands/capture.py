@@ -47,6 +47,11 @@ class _LampIlluminance(click.ParamType):
     "--refine-rotations", is_flag=True, help="Turn the views so that they agree where they overlap."
 )
 @click.option(
+    "--measured-exposures",
+    is_flag=True,
+    help="Use the ratios of exposures that the photographs show; nominal times are rounded.",
+)
+@click.option(
     "--glare",
     type=click.FloatRange(0.0, 0.5),
     metavar="SHARE",

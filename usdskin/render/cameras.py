@@ -82,7 +82,8 @@ def find_camera(
         targets = relationship.GetForwardedTargets() if relationship else []
         if targets:
             return _requested_camera(stage, str(targets[0]))
-    cameras = _cameras(stage)
+    # The views of a capture that lights the stage are no cameras to render from.
+    cameras = [prim for prim in _cameras(stage) if not prim.HasAPI("FisheyeCameraAPI")]
     if len(cameras) == 1:
         return cameras[0]
     if not cameras:
