@@ -31,8 +31,14 @@ def lamp_room(height: int) -> FloatArray:
     point = rays * reach.min(axis=2)[..., None]
     index = 2 * side + (np.take_along_axis(rays, side[..., None], 2)[..., 0] > 0.0)
     walls = np.array(
-        [[0.5, 0.3, 0.2], [0.2, 0.4, 0.3], [0.25, 0.2, 0.15], [0.7, 0.7, 0.65]]
-        + [[0.3, 0.35, 0.5], [0.6, 0.55, 0.4]]
+        [
+            [0.5, 0.3, 0.2],
+            [0.2, 0.4, 0.3],
+            [0.25, 0.2, 0.15],
+            [0.7, 0.7, 0.65],
+            [0.3, 0.35, 0.5],
+            [0.6, 0.55, 0.4],
+        ]
     )
     pattern = 1.0 + 0.4 * np.sin(3.0 * point[..., 0] + point[..., 2]) * np.cos(2.5 * point[..., 1])
     value = walls[index] * pattern[..., None] / (0.5 + 0.15 * (point**2).sum(2))[..., None]

@@ -38,7 +38,7 @@ from usdskin.judge.sensitivity import read_sensitivity
 from usdskin.judge.sensor import Sensor, exposure_list, exposure_series
 from usdskin.judge.setups import lens_of_layer
 from usdskin.judge.shoot_layers import even_direction, luminance_weights, read_truth, spot
-from usdskin.judge.viewpoints import parse_views, rotation_about, rotation_of
+from usdskin.judge.viewpoints import THREE_LEVEL, rotation_about, rotation_of
 from usdskin.latlong import latlong_coordinates, texel_directions
 from usdskin.layers import open_stage
 from usdskin.prims import FisheyeLens, read_shoot, write_lens
@@ -445,7 +445,7 @@ def test_photographs_show_the_true_panorama(tmp_path, camera_file, up):
     write_exr(tmp_path / "map.exr", [part])
     stage = room(tmp_path / "room.usda", dome=tmp_path / "map.exr", up=up)
     lens = fisheye(128, vignetting=(-0.1, 0.01))
-    views = parse_views("20:10,200:-30")
+    views = ((20.0, 10.0), (200.0, -30.0))
     setup = small(camera_file, lens=lens, views=views, truth_height=128)
     shoot = read_shoot(open_stage(photograph(stage, tmp_path / "out", setup)))
     truth = read_truth(tmp_path / "out")
@@ -475,7 +475,7 @@ def test_shoot_layer_tells_what_a_photographer_knows(tmp_path, camera_file):
     setup = small(
         camera_file,
         lens=lens,
-        views=parse_views("3+zenith"),
+        views=(*THREE_LEVEL, (0.0, 90.0)),
         vignetting_error=0.02,
         rotation_error_deg=0.5,
         shutter_error=0.05,
@@ -733,24 +733,6 @@ def test_shipped_room_is_what_its_script_makes(make_room):
 
 
 # --- Files and commands ------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("back-to-back", [(0.0, 0.0), (180.0, 0.0)]),
-        ("0,90,up,down", [(0.0, 0.0), (90.0, 0.0), (0.0, 90.0), (0.0, -90.0)]),
-        ("45:30,-45:-10", [(45.0, 30.0), (-45.0, -10.0)]),
-    ],
-)
-def test_views_are_named_or_listed(text, expected):
-    assert list(parse_views(text)) == expected
-
-
-@pytest.mark.parametrize("text", ["", "north", "0,,120", "1:2:3", "nan", "0,inf"])
-def test_views_that_are_none_are_refused(text):
-    with pytest.raises(UsageError, match="is no view"):
-        parse_views(text)
 
 
 def test_folder_that_holds_something_is_left_alone(tmp_path, camera_file):

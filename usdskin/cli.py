@@ -18,7 +18,7 @@ from typing import Any
 import click
 
 from usdskin import __version__
-from usdskin.commands import capture, files, lens, photograph, pictures, system
+from usdskin.commands import capture, files, ingest, lens, photograph, pictures, system
 from usdskin.commands.options import StepCommand, global_options, with_paragraph_marks
 from usdskin.commands.reporter import GlobalOptions, print_event
 from usdskin.errors import EXIT_DEVICE, EXIT_INPUT, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, UsdSkinError
@@ -77,8 +77,9 @@ def cli() -> None:
 for _command in (
     *files.MAKING,
     *photograph.COMMANDS,
+    *ingest.COMMANDS,
     *capture.COMMANDS,
-    lens.calibrate,
+    *lens.COMMANDS,
     *pictures.COMMANDS,
     *files.READING,
     *system.COMMANDS,

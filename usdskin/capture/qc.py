@@ -311,7 +311,7 @@ def _of_sphere(share: float) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{_digits(100.0 * share)} %"
+    return "less than 0.01 %" if 0.0 < share < 1e-4 else f"{_digits(100.0 * share)} %"
 
 
 def _digits(value: float) -> str:

@@ -309,6 +309,8 @@ def _percent(share: float) -> str:
         return "0 %"
     if abs(value) < 0.01:
         return "less than 0.01 %"
+    if 99.99 <= value < 100.0:
+        return "more than 99.99 %"
     if 99.0 <= value < 100.0:  # what is missing from the whole counts here
         return f"{math.floor(value * 100.0) / 100.0:.2f} %"
     return f"{value:.2g} %" if abs(value) < 10.0 else f"{value:.0f} %"

@@ -302,15 +302,15 @@ _KEPT = ("values", "variance", "status")
 
 def _keep(merged: MergedView, stem: Path) -> None:
     for name in _KEPT:
-        np.save(stem.with_suffix(f".{name}.npy"), getattr(merged, name))
+        np.save(f"{stem}.{name}.npy", getattr(merged, name))
 
 
 def _kept(stem: Path, report: MergeReport) -> MergedView:
-    files = [stem.with_suffix(f".{name}.npy") for name in _KEPT]
-    arrays = [np.load(file) for file in files]
+    files = [Path(f"{stem}.{name}.npy") for name in _KEPT]
+    values, variance, status = (np.load(file) for file in files)
     for file in files:
         os.unlink(file)
-    return MergedView(*arrays, report)
+    return MergedView(values, variance, status, report)
 
 
 def _settings(options: CaptureOptions) -> dict[str, Any]:

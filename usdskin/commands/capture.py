@@ -13,25 +13,16 @@ from usdskin.commands.reporter import GlobalOptions, Reporter
 _PATH = click.Path(path_type=Path)
 
 
-class _LampIlluminance(click.ParamType):
-    """``LUX`` or ``LAMP=LUX``."""
-
-    name = "lamp"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, float]:
-        """Return the lamp's name, empty for the only one, and its illuminance [lx]."""
-        if isinstance(value, tuple):
-            return value
-        lamp, _, number = str(value).rpartition("=")
-        try:
-            lux = float(number)
-        except ValueError:
-            lux = 0.0
-        if not 0.0 < lux < float("inf"):
-            self.fail(f"{value!r} is neither LUX nor LAMP=LUX with a number above 0.", param, ctx)
-        return lamp.strip(), lux
+def _lamp_illuminance(value: str) -> tuple[str, float]:
+    """Return a lamp's name, empty for the only one, and its illuminance [lx]."""
+    lamp, _, number = value.rpartition("=")
+    try:
+        lux = float(number)
+    except ValueError:
+        lux = 0.0
+    if not 0.0 < lux < float("inf"):
+        raise click.BadParameter(f"{value!r} is neither LUX nor LAMP=LUX with a number above 0.")
+    return lamp.strip(), lux
 
 
 @click.command("capture", cls=StepCommand)
@@ -60,7 +51,7 @@ class _LampIlluminance(click.ParamType):
 @click.option(
     "--lamp-illuminance",
     "lamps",
-    type=_LampIlluminance(),
+    type=_lamp_illuminance,
     multiple=True,
     metavar="[LAMP=]LUX",
     help="Illuminance of a clipped lamp on a surface facing it, measured with all else shaded; "

@@ -131,13 +131,13 @@ def photograph(options: GlobalOptions, /, environment: Path, output: Path, **giv
         usdskin photograph hall.hdr --illuminant FL2 -o shoot --views 3+zenith --glare 0.01
     """
     with Reporter(options) as reporter:
+        from usdskin.capture.viewpoints import parse_directions
         from usdskin.judge.photographer import photograph as take
         from usdskin.judge.setups import Setup
-        from usdskin.judge.viewpoints import parse_views
 
         setup = {
             "lens": _lens(given),
-            "views": parse_views(given.pop("views")),
+            "views": parse_directions(given.pop("views")),
             "exposures": _exposures(given),
             "sensor": _sensor(given),
             **{name: value for name, value in given.items() if value is not None},

@@ -15,7 +15,7 @@ from usdskin.judge.optics import field_angle
 from usdskin.judge.photo_files import KINDS, Development
 from usdskin.judge.sensitivity import DEFAULT_CAMERA
 from usdskin.judge.sensor import Exposures, Sensor, exposure_series
-from usdskin.judge.viewpoints import NAMED_VIEWS, Orientation
+from usdskin.judge.viewpoints import THREE_LEVEL, Orientation
 from usdskin.layers import open_stage
 from usdskin.prims import FisheyeLens, read_lens
 from usdskin.render.texels import BadPixels
@@ -107,7 +107,7 @@ class Setup:
     lens: FisheyeLens = field(default_factory=fisheye)
     """The lens as it is, its resolution being the camera's."""
 
-    views: tuple[Orientation, ...] = NAMED_VIEWS["3"]
+    views: tuple[Orientation, ...] = THREE_LEVEL
     """Azimuth and elevation of every view [deg]."""
 
     exposures: Exposures | tuple[Exposures, ...] = field(default_factory=exposure_series)

@@ -2,54 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-
-from usdskin.errors import UsageError
 
 FloatArray = NDArray[np.float64]
 Orientation = tuple[float, float]
 """Azimuth, counted to the left from the panorama's -Z, and elevation [deg]."""
 
-NAMED_VIEWS: Mapping[str, tuple[Orientation, ...]] = {
-    "3": ((0.0, 0.0), (120.0, 0.0), (240.0, 0.0)),
-    "3+zenith": ((0.0, 0.0), (120.0, 0.0), (240.0, 0.0), (0.0, 90.0)),
-    "back-to-back": ((0.0, 0.0), (180.0, 0.0)),
-}
-"""Sets of views that are in use."""
-
-
-def parse_views(text: str) -> tuple[Orientation, ...]:
-    """Return the orientations that a text names.
-
-    Args:
-        text: A name of ``NAMED_VIEWS``, or a list such as ``0,120,240,up`` or ``45:30,225:30``:
-            azimuth, or azimuth and elevation [deg], or ``up`` or ``down``.
-
-    Raises:
-        UsageError: The text is neither.
-    """
-    if text in NAMED_VIEWS:
-        return NAMED_VIEWS[text]
-    special = {"up": (0.0, 90.0), "down": (0.0, -90.0)}
-    views: list[Orientation] = []
-    for item in text.split(","):
-        try:
-            numbers = [float(part) for part in item.split(":")] if item not in special else []
-        except ValueError:
-            numbers = [np.nan]
-        if item in special:
-            views.append(special[item])
-        elif len(numbers) in (1, 2) and np.isfinite(numbers).all():
-            views.append((numbers[0], numbers[1] if len(numbers) == 2 else 0.0))
-        else:
-            raise UsageError(
-                f"--views {text}: {item!r} is no view; give {', '.join(NAMED_VIEWS)}, or a list of "
-                "azimuths such as 0,120,240,up or azimuth:elevation"
-            )
-    return tuple(views)
+THREE_LEVEL: tuple[Orientation, ...] = ((0.0, 0.0), (120.0, 0.0), (240.0, 0.0))
+"""Three views a third of a turn apart."""
 
 
 def rotation_of(orientation: Orientation, panorama_from_world: FloatArray) -> FloatArray:

@@ -1,0 +1,356 @@
+"""How far one view is turned against another, measured where both see.
+
+Gauss-Newton on the difference of the band-passed log-radiance, from coarse to fine. What the result
+is worth is told by the coherence of the two views' derivatives: with f and g the change of either
+view as it turns about an axis, sum(f g) / sum((f^2 + g^2) / 2) is 1 where both see the same and 0
+where they see noise or different things, however strong that is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdskin.capture.align_features import Level, Samples, sample, sample_band
+from usdskin.capture.align_view import AlignView
+
+FloatArray = NDArray[np.float64]
+
+_JUDGED_DEG = 0.5
+"""Pixels at which a pair is judged are this wide or up to twice [deg]: so fine that chance does not
+align them."""
+
+_COHERENT = 0.3
+"""Least coherence of an axis."""
+
+_CERTAIN = 5.0
+"""Least coherence of an axis, in deviations of what noise would show."""
+
+_FAINT = 0.01
+"""Root mean square of the band-passed logarithm below which a view shows nothing."""
+
+_WHITE = 0.75
+"""Contrast relative to that of pixels half as wide below which it is noise; white noise has 0.5,
+what a scene shows about 1."""
+
+_ONE_WAY = 0.02
+"""Share of the strongest axis's power below which the views show nothing about another."""
+
+_FEWEST = 40
+"""Independent details that two views must share."""
+
+_FEWEST_TO_STEP = 10
+"""The same while the views are being turned, on coarser levels."""
+
+_SEARCH_STEP_DEG = 3.0
+"""Distance of the rotations tried [deg]."""
+
+_FOLLOWED = 12
+"""How many of them are followed on the coarsest level."""
+
+_STARTS = 3
+"""How many of those are followed to finer ones."""
+
+_GLANCES = 4000
+"""Directions over the whole sphere by which rotations are tried."""
+
+_DETAIL_PX = 12.0
+"""Area over which a band-passed level varies together, about 4 pi sigma^2 [px]."""
+
+_MOST_SAMPLES = 60_000
+"""Directions over the whole sphere."""
+
+_STEPS = 12
+"""Gauss-Newton steps at one level, at most."""
+
+_SMALL_STEP_PX = 0.02
+"""Step that ends a level [px]."""
+
+_LARGE_STEP_PX = 2.0
+"""Longest step [px]; the band has lost its memory beyond."""
+
+_HUBER = 1.345
+"""Deviations beyond which a difference counts as an outlier: 95 % efficient if there are none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairFit:
+    """How two views fit."""
+
+    state: str
+    """``constrained``, ``apart`` (they hardly overlap), ``featureless`` (about some axis), or
+    ``contradicting`` (both have features, but not the same)."""
+
+    rotation: FloatArray
+    """Rotation of the second view with which it fits the first as stated, shape [3, 3]."""
+
+    information: FloatArray
+    """Weight of that rotation about the axes of the panorama's frame, shape [3, 3]."""
+
+    overlap: float
+    """Share of the sphere that both see, as stated [1]."""
+
+    correlation_before: float
+    """Of the views' details, as stated [1]."""
+
+    correlation: float
+    """Of the views' details, when turned [1]."""
+
+    gain: float
+    """Median ratio of the second view's values to the first's."""
+
+
+def fit_pair(
+    first: AlignView,
+    second: AlignView,
+    first_levels: list[Level],
+    second_levels: list[Level],
+    search_deg: float,
+) -> PairFit:
+    """Measure how the second view must be turned to fit the first.
+
+    Args:
+        first: The view that stays.
+        second: The view that turns.
+        first_levels: Its pyramid, the finest level first.
+        second_levels: The other's.
+        search_deg: How far to look where the way down from the stated rotation leads nowhere [deg].
+    """
+    levels = [
+        _PairLevel(first, second, one, other)
+        for one, other in _matched(first_levels, second_levels)
+    ]
+    judge = next(
+        (i for i, level in enumerate(levels) if np.degrees(level.spacing) >= _JUDGED_DEG),
+        len(levels) - 1,
+    )
+    stated, before = second.rotation, levels[judge].compare(second.rotation)
+    rotation = stated
+    state = "apart" if before.details < _FEWEST else "contradicting"
+    for start in _starts(levels[-1], stated, search_deg) if state != "apart" else ():
+        found = start
+        for level in reversed(levels[judge:]):
+            found = level.descend(found)
+        after = levels[judge].compare(found)
+        if after.is_coherent:
+            state, rotation = "constrained", found
+            break
+        if start is stated and _is_featureless(after, levels[max(judge - 1, 0)].compare(found)):
+            state = "featureless"
+            break
+    if state == "constrained":
+        for level in reversed(levels[:judge]):
+            found = level.descend(rotation)
+            if not level.compare(found).is_coherent:
+                break  # so fine that it is noise
+            rotation = found
+    after = levels[judge].compare(rotation)
+    return PairFit(
+        state=state,
+        rotation=rotation,
+        information=after.cross if state == "constrained" else np.zeros((3, 3)),
+        overlap=before.share,
+        correlation_before=before.correlation,
+        correlation=after.correlation,
+        gain=after.gain,
+    )
+
+
+def _matched(first: list[Level], second: list[Level]) -> list[tuple[Level, Level]]:
+    """Return levels of about equal scale: for each of the coarser picture one of the other's."""
+
+    def nearest(levels: list[Level], spacing: float) -> Level:
+        return min(levels, key=lambda level: abs(np.log(level.spacing / spacing)))
+
+    if first[0].spacing >= second[0].spacing:
+        return [(level, nearest(second, level.spacing)) for level in first]
+    return [(nearest(first, level.spacing), level) for level in second]
+
+
+def _starts(level: _PairLevel, stated: FloatArray, search_deg: float) -> Iterator[FloatArray]:
+    """Yield rotations to begin at: as stated, then the most promising ones around, best first.
+
+    Those are the best of a grid, followed uphill on this level.
+    """
+    yield stated
+    steps = int(search_deg / _SEARCH_STEP_DEG)
+    axis = np.arange(-steps, steps + 1)
+    grid = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    grid = np.radians(_SEARCH_STEP_DEG) * grid[np.linalg.norm(grid, axis=1) <= steps]
+    rotations = [rotation_by(vector) @ stated for vector in grid]
+    for rotation in _best(rotations, level.glance, _FOLLOWED):
+        rotations.append(level.descend(rotation))
+    yield from _best(rotations[len(grid) :], lambda found: level.compare(found).score, _STARTS)
+
+
+def _best(
+    rotations: list[FloatArray], score: Callable[[FloatArray], float], count: int
+) -> list[FloatArray]:
+    order = np.argsort([-score(rotation) for rotation in rotations], kind="stable")
+    return [rotations[index] for index in order[:count]]
+
+
+def _is_featureless(found: _Comparison, finer: _Comparison) -> bool:
+    if found.contrast < max(_FAINT, _WHITE * finer.contrast if finer is not found else 0.0):
+        return True
+    powers = np.linalg.eigvalsh(found.power)
+    nothing = len(found.first.band) * found.faint**2
+    return bool(powers[0] < max(_ONE_WAY * powers[2], nothing))
+
+
+class _PairLevel:
+    """Two views at one scale."""
+
+    def __init__(self, first: AlignView, second: AlignView, one: Level, other: Level) -> None:
+        self.spacing = max(one.spacing, other.spacing)
+        self._count = min(int(4.0 * np.pi / self.spacing**2), _MOST_SAMPLES)
+        directions = _directions(self._count)
+        seen, self._fixed = sample(one, first.lens, first.rotation, directions)
+        self._directions = directions[seen]
+        self._level, self._lens = other, second.lens
+        self._in_detail = max(_DETAIL_PX * self.spacing**2 * self._count / (4.0 * np.pi), 1.0)
+
+    def compare(self, rotation: FloatArray) -> _Comparison:
+        """Return both views where both see, the second one with a given rotation."""
+        both, moving = sample(self._level, self._lens, rotation, self._directions)
+        fixed = self._fixed
+        return _Comparison(
+            first=Samples(fixed.band[both], fixed.moment[both], fixed.log[both]),
+            second=moving,
+            share=float(both.sum()) / self._count,
+            details=float(both.sum()) / self._in_detail,
+            faint=_FAINT / self.spacing,
+        )
+
+    def glance(self, rotation: FloatArray) -> float:
+        """Return about the score of a comparison, quickly."""
+        every = slice(None, None, self._count // _GLANCES + 1)
+        both, moving = sample_band(self._level, self._lens, rotation, self._directions[every])
+        return _correlation(self._fixed.band[every][both], moving) * math.sqrt(int(both.sum()))
+
+    def descend(self, rotation: FloatArray) -> FloatArray:
+        """Return the rotation of the second view that fits best near a given one."""
+        best, best_correlation = rotation, -np.inf
+        for _ in range(_STEPS):
+            found = self.compare(rotation)
+            if found.details < _FEWEST_TO_STEP:
+                break
+            if found.correlation > best_correlation:
+                best, best_correlation = rotation, found.correlation
+            step = found.step()
+            length = float(np.linalg.norm(step)) / self.spacing
+            rotation = rotation_by(step * min(1.0, _LARGE_STEP_PX / max(length, 1e-12))) @ rotation
+            if length < _SMALL_STEP_PX:
+                break
+        return best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Comparison:
+    """Two views at the directions that both see."""
+
+    first: Samples
+    second: Samples
+
+    share: float
+    """Share of the sphere [1]."""
+
+    details: float
+    """How many of them are independent."""
+
+    faint: float
+    """Derivative that counts as nothing [rad^-1]."""
+
+    @property
+    def correlation(self) -> float:
+        return _correlation(self.first.band, self.second.band)
+
+    @property
+    def score(self) -> float:
+        """Correlation in deviations of what chance would give."""
+        return self.correlation * math.sqrt(self.details)
+
+    @property
+    def contrast(self) -> float:
+        """Root mean square of the fainter view."""
+        return min(_rms(self.first.band), _rms(self.second.band))
+
+    @property
+    def gain(self) -> float:
+        if not self.first.log.size:
+            return 1.0
+        return float(np.exp(np.median(self.second.log - self.first.log)))
+
+    @property
+    def cross(self) -> FloatArray:
+        """What both views show as they turn about the axes, shape [3, 3]."""
+        product = np.einsum("ni,nj->ij", self.first.moment, self.second.moment)
+        return np.asarray(0.5 * (product + product.T))
+
+    @property
+    def power(self) -> FloatArray:
+        """What either shows, noise included, shape [3, 3]."""
+        moments = (self.first.moment, self.second.moment)
+        return np.asarray(0.5 * sum(np.einsum("ni,nj->ij", m, m) for m in moments))
+
+    @property
+    def is_coherent(self) -> bool:
+        """Whether the views are known to show the same, about every axis."""
+        power = self.power + len(self.first.band) * self.faint**2 * np.eye(3)
+        inverse = np.linalg.inv(np.linalg.cholesky(power))
+        coherence = np.linalg.eigvalsh(inverse @ self.cross @ inverse.T)
+        return bool(coherence[0] >= max(_COHERENT, _CERTAIN / np.sqrt(max(self.details, 1.0))))
+
+    def step(self) -> FloatArray:
+        """Return the Gauss-Newton step of the second view, a rotation vector [rad]."""
+        difference = self.second.band - self.first.band
+        size = np.abs(difference)
+        bound = max(_HUBER * 1.4826 * float(np.median(size)), 1e-6)
+        weight = bound / np.maximum(size, bound)
+        slope = 0.5 * (self.first.moment + self.second.moment)
+        normal = np.einsum("n,ni,nj->ij", weight, slope, slope)
+        right = np.einsum("n,ni,n->i", weight, slope, difference)
+        return np.asarray(np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ right)
+
+
+def _correlation(one: FloatArray, other: FloatArray) -> float:
+    power = float((one * one).sum() * (other * other).sum())
+    return float((one * other).sum() / np.sqrt(power)) if power > 0.0 else 0.0
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt((values * values).mean())) if values.size else 0.0
+
+
+def rotation_by(vector: FloatArray) -> FloatArray:
+    """Return the rotation by a vector [rad] (Rodrigues' formula), shape [3, 3]."""
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
+
+
+def vector_of(rotation: FloatArray) -> FloatArray:
+    """Return the vector of a rotation by less than pi [rad], the inverse of ``rotation_by``."""
+    skew = 0.5 * (rotation - rotation.T)
+    sine_vector = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+    sine = float(np.linalg.norm(sine_vector))
+    angle = np.arctan2(sine, 0.5 * (np.trace(rotation) - 1.0))
+    return sine_vector * (angle / sine if sine > 0.0 else 1.0)
+
+
+@lru_cache(maxsize=8)
+def _directions(count: int) -> FloatArray:
+    """Return directions spread evenly over the sphere along a Fibonacci spiral."""
+    index = np.arange(count) + 0.5
+    y = 1.0 - 2.0 * index / count
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * index
+    radius = np.sqrt(1.0 - y * y)
+    return np.stack([radius * np.cos(turn), y, radius * np.sin(turn)], axis=1)
