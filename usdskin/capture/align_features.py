@@ -34,6 +34,13 @@ _DARK = 0.05
 _CONTRAST = 0.5
 """Band-passed logarithm beyond which contrast counts less and less, so that lamps do not rule."""
 
+_FINE_DEG = 0.75
+"""Pixels up to this wide are left out where the band-pass reaches far beyond the picture [deg]; on
+coarser levels that would take all of a thin overlap."""
+
+_COVERED = 0.85
+"""Share of the band-pass that must lie in the picture: 2.3 pixels from a straight edge."""
+
 _BINOMIAL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
 
 
@@ -171,12 +178,15 @@ def _level(picture: Image, weight: Image, shrink: int, lens: FisheyeLens) -> Lev
     near, near_weight = _blur(picture, 1), _blur(weight, 1)
     wide, wide_weight = _blur(near, 2), _blur(near_weight, 2)
     valid = weight > 0.0
-    near /= np.where(valid, near_weight, np.float32(1.0))
-    wide /= np.where(valid, wide_weight, np.float32(1.0))
-    band = np.where(valid, _CONTRAST * np.tanh((near - wide) / _CONTRAST), np.float32(0.0))
+    one = np.float32(1.0)
+    near /= np.where(valid, near_weight, one)
+    band = near - wide / np.where(valid, wide_weight, one)
+    band = np.where(valid, _CONTRAST * np.tanh(band / _CONTRAST), np.float32(0.0))
     by_u = 0.5 * (np.roll(band, -1, axis=1) - np.roll(band, 1, axis=1))
     by_v = 0.5 * (np.roll(band, -1, axis=0) - np.roll(band, 1, axis=0))
     inner = ~_grown(~valid)  # derivatives reach one pixel farther
+    if np.degrees(shrink / lens.focal_length_px) < _FINE_DEG:
+        inner &= wide_weight >= _COVERED
     usable = np.zeros_like(valid)
     usable[:-1, :-1] = inner[:-1, :-1] & inner[1:, :-1] & inner[:-1, 1:] & inner[1:, 1:]
     channels = np.stack([band, by_u / shrink, by_v / shrink, near], axis=-1, dtype=np.float32)

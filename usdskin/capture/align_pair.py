@@ -50,10 +50,10 @@ _FEWEST_TO_STEP = 10
 _SEARCH_STEP_DEG = 3.0
 """Distance of the rotations tried [deg]."""
 
-_FOLLOWED = 12
+_FOLLOWED = 20
 """How many of them are followed on the coarsest level."""
 
-_STARTS = 3
+_STARTS = 5
 """How many of those are followed to finer ones."""
 
 _GLANCES = 4000
