@@ -73,7 +73,7 @@ def photograph(lens: Any, rotation: NDArray[np.float64]) -> NDArray[np.float32]:
 
 def ours(job: dict[str, Any]) -> dict[str, Any]:
     """Compose ``repeats`` times, kernels loaded."""
-    from usdskin.capture.panorama import Compositor
+    from usdskin.capture.views.panorama import Compositor
     from usdskin.device import open_workers
     from usdskin.progress import SilentProgress
 

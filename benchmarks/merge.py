@@ -78,7 +78,7 @@ _ERRORS = (
 
 def measure_ours(job: dict[str, Any]) -> dict[str, Any]:
     """Merge with ``usdskin``, once to load kernels and files and then for the clock."""
-    from usdskin.capture import merge
+    from usdskin.capture.brackets import merge
     from usdskin.device import open_workers
     from usdskin.prims import ExposureBracket, FisheyeLens, View
 

@@ -8,7 +8,6 @@ from itertools import combinations
 import numpy as np
 import pytest
 from fisheye_rooms import (
-    PERFECT,
     REALISTIC,
     UP,
     Shot,
@@ -58,7 +57,7 @@ def lens(size, max_angle=90.0):
     )
 
 
-def views(environments, true, *, size=240, max_angle=90.0, shots=REALISTIC):
+def views(environments, true, *, size=360, max_angle=90.0, shots=REALISTIC):
     """Return views at their true rotations; one environment and one shot may do for all."""
     environments = environments if isinstance(environments, list) else [environments] * len(true)
     shots = shots if isinstance(shots, list) else [shots] * len(true)
@@ -102,13 +101,18 @@ def environment():
 
 
 @pytest.fixture(scope="module")
-def three(environment):
-    return views(environment, THREE)
+def photographed_sets(environment):
+    return {name: views(environment, true, max_angle=angle) for name, (true, angle) in SETS.items()}
 
 
 @pytest.fixture(scope="module")
-def four(environment):
-    return views(environment, WITH_ZENITH)
+def three(photographed_sets):
+    return photographed_sets["three"]
+
+
+@pytest.fixture(scope="module")
+def four(photographed_sets):
+    return photographed_sets["three and zenith"]
 
 
 @pytest.fixture(scope="module")
@@ -140,10 +144,9 @@ def test_errors_of_half_a_degree_shrink_to_a_twentieth_over_20_seeds(mottled_roo
 
 @pytest.mark.parametrize("name", SETS)
 @pytest.mark.parametrize("seed", range(3))
-def test_errors_of_five_degrees_are_within_the_basin(environment, name, seed):
+def test_errors_of_five_degrees_are_within_the_basin(photographed_sets, name, seed):
     """Five degrees for each view: up to ten between two, as wide as the ring of back to back."""
-    true, max_angle = SETS[name]
-    photographed = views(environment, true, max_angle=max_angle)
+    true, photographed = SETS[name][0], photographed_sets[name]
     given = shaken(np.random.default_rng(seed), true, 5.0)
     found = align_views(stated(photographed, given))
     assert found.constrained.all()
@@ -179,8 +182,8 @@ def test_a_second_darker_bracket_of_a_view_fits_its_first(environment):
     assert largest_error(found.rotations, true) <= ACCURACY_DEG
 
 
-def test_pictures_of_two_sizes_fit(environment):
-    photographed = views(environment, THREE, size=420)[:1] + views(environment, THREE)[1:]
+def test_pictures_of_two_sizes_fit(environment, three):
+    photographed = views(environment, THREE[:1], size=500) + three[1:]
     given = shaken(np.random.default_rng(2), THREE, 0.5)
     found = align_views(stated(photographed, given))
     assert largest_error(found.rotations, THREE) <= ACCURACY_DEG
@@ -207,7 +210,7 @@ def test_result_turns_with_the_frame(three):
     frame = turn([1.0, 2.0, 3.0], 77.0)
     here = align_views(stated(three, given)).rotations
     there = align_views(stated(three, frame @ given)).rotations
-    assert max(map(angle_between, frame @ here, there)) < 0.02  # other directions are sampled
+    assert max(map(angle_between, frame @ here, there)) < 0.02  # the directions are others
 
 
 def test_same_views_give_the_same_bytes(four):
@@ -244,7 +247,7 @@ def test_views_without_features_are_not_moved_by_noise(kind, noise):
     up = directions(128, 256)[..., 1:2]
     shape = {"even": 0.0 * up + 0.4, "sky": 1.0 + 0.8 * up, "rings": np.exp(np.sin(25.0 * up))}
     given = shaken(np.random.default_rng(4), THREE, 0.5)
-    photographed = views(shape[kind] * np.ones(3), THREE, shots=Shot(noise=noise))
+    photographed = views(shape[kind] * np.ones(3), THREE, size=200, shots=Shot(noise=noise))
     notes = []
     found = align_views(stated(photographed, given), notes)
     assert_nothing_moved(found, given)
@@ -270,9 +273,9 @@ def test_view_stated_30_degrees_wrong_is_found_out_and_does_not_turn_the_others(
     given[1] = turn([1.0, 1.0, 0.0], 30.0) @ given[1]
     notes = []
     found = align_views(stated(four, given), notes, search_deg=0.0)
-    against = {pair.state for pair in found.pairs if "v1" in (pair.first, pair.second)}
-    assert against == {"contradicting"}
-    assert all(abs(pair.correlation_before) < 0.2 for pair in found.pairs if "v1" == pair.first)
+    against = [pair for pair in found.pairs if "v1" in (pair.first, pair.second)]
+    assert {pair.state for pair in against} == {"contradicting"}
+    assert max(abs(pair.correlation_before) for pair in against) < 0.2
     assert found.constrained.tolist() == [True, False, True, True]
     np.testing.assert_array_equal(found.rotations[1], given[1])
     rest = [0, 2, 3]
@@ -307,7 +310,7 @@ def test_other_rooms_contradict_each_other_over_20_seeds(mottled_rooms):
         first, second = mottled_rooms[seed % 4], mottled_rooms[(seed + 1 + seed // 8) % 4]
         pair = [first[seed % 3], second[(seed + 1) % 3]]
         given = shaken(np.random.default_rng(seed), THREE[:2], 10.0)
-        found = align_views(stated(pair, given))
+        found = align_views(stated(pair, given), search_deg=15.0 if seed < 5 else 0.0)
         assert not found.constrained.any()
         np.testing.assert_array_equal(found.rotations, given)
 
@@ -334,7 +337,9 @@ def test_black_or_masked_or_tiny_views_are_survived(size, valid):
 def test_fewer_than_two_views_are_left_alone(three, count):
     found = align_views(three[:count])
     assert found.pairs == ()
-    assert_nothing_moved(found, [view.rotation for view in three[:count]])
+    assert not found.constrained.any()
+    assert len(found.rotations) == count
+    assert found.residual_after_deg is None
 
 
 # --- Parts ---------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from usdskin.validate import validate
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
 SIZE = 480
-"""Pixels of a view where accuracy counts: 153 px per radian, so the panorama has 512 x 256 texels."""
+"""Pixels of a view where accuracy counts: the panorama has 512 x 256 texels."""
 
 SMALL = 220
 """Pixels of a view elsewhere: the panorama has 256 x 128 texels."""

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from usdskin.capture.lamps import find_lamps, replace_lamp
-from usdskin.capture.merge import ExposurePair, MergeReport
-from usdskin.capture.meters import (
+from usdskin.capture.brackets.merge import ExposurePair, MergeReport
+from usdskin.capture.quality.lamps import find_lamps, replace_lamp
+from usdskin.capture.quality.meters import (
     cosine_weights,
     flux,
     irradiance,
@@ -20,8 +20,8 @@ from usdskin.capture.meters import (
     sphere_share,
     texel_vectors,
 )
-from usdskin.capture.qc import HEIGHT, WIDTH, quality_picture
-from usdskin.capture.report import (
+from usdskin.capture.quality.picture import HEIGHT, WIDTH, quality_picture
+from usdskin.capture.quality.report import (
     CaptureReport,
     PanoramaFigures,
     ViewReport,
@@ -29,7 +29,7 @@ from usdskin.capture.report import (
     report_lamp,
     report_view,
 )
-from usdskin.capture.scale import MeasuredLamp, Scale, scale_of
+from usdskin.capture.quality.scale import MeasuredLamp, Scale, scale_of
 from usdskin.errors import LayerError, UsageError
 from usdskin.latlong import latlong_coordinates, texel_directions, texel_solid_angles
 from usdskin.prims.captures import ExposureBracket, FisheyeLens, Shoot, View

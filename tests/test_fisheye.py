@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import warp as wp
 
-from usdskin.capture.panorama import lens_tables
 from usdskin.capture.projection import (
     angle_to_radius,
     check_lens,
@@ -19,6 +18,7 @@ from usdskin.capture.projection import (
     unproject,
     vignetting,
 )
+from usdskin.capture.views.panorama import lens_tables
 from usdskin.errors import LayerError
 from usdskin.prims.captures import FisheyeLens
 from usdskin.warp_kernels import fisheye

@@ -12,12 +12,12 @@ import OpenEXR
 import pytest
 from photographs import BEGAN, disc, write_bracket, write_photo
 
-from usdskin.capture.exif import Photo, read_photo
-from usdskin.capture.image_circle import find_circle, guess_lens
-from usdskin.capture.ingest import ingest
-from usdskin.capture.ingest_options import IngestOptions
-from usdskin.capture.photo_folder import natural
-from usdskin.capture.sequences import in_order, split_brackets
+from usdskin.capture.ingest.exif import Photo, read_photo
+from usdskin.capture.ingest.folder import natural
+from usdskin.capture.ingest.image_circle import find_circle, guess_lens
+from usdskin.capture.ingest.options import IngestOptions
+from usdskin.capture.ingest.sequences import in_order, split_brackets
+from usdskin.capture.ingest.step import ingest
 from usdskin.capture.viewpoints import Direction, directions_of_names, parse_directions
 from usdskin.cli import main
 from usdskin.errors import ImageError, LayerError, UsageError

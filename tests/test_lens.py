@@ -5,11 +5,11 @@ import cv2
 import numpy as np
 import pytest
 
-from usdskin.capture.lens import calibrate_lens, import_lens
-from usdskin.capture.lens_board import Board, BoardView, find_board, parse_board
-from usdskin.capture.lens_fit import fit_lens
-from usdskin.capture.lens_models import MODELS
-from usdskin.capture.lens_solve import solve
+from usdskin.capture.lens.board import Board, BoardView, find_board, parse_board
+from usdskin.capture.lens.calibrate import calibrate_lens, import_lens
+from usdskin.capture.lens.fit import fit_lens
+from usdskin.capture.lens.models import MODELS
+from usdskin.capture.lens.solve import solve
 from usdskin.capture.projection import project
 from usdskin.commands.lens import COMMANDS
 from usdskin.commands.reporter import GlobalOptions

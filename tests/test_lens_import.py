@@ -2,11 +2,11 @@ import cv2
 import numpy as np
 import pytest
 
-from usdskin.capture.lens import import_lens
-from usdskin.capture.lens_curve import IDEAL
-from usdskin.capture.lens_hugin import read_hugin
-from usdskin.capture.lens_import import ImportOptions
-from usdskin.capture.lens_lensfun import LensfunChoice, read_lensfun
+from usdskin.capture.lens.calibrate import import_lens
+from usdskin.capture.lens.curve import IDEAL
+from usdskin.capture.lens.files import ImportOptions
+from usdskin.capture.lens.hugin import read_hugin
+from usdskin.capture.lens.lensfun import LensfunChoice, read_lensfun
 from usdskin.capture.projection import project, vignetting
 from usdskin.errors import UsageError, UsdSkinError
 from usdskin.layers import open_stage

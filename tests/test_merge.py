@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from simulated_sensor import Sensor, bracket_view, photograph, write_dng, write_picture
 
-from usdskin.capture import bracket as capture_bracket
-from usdskin.capture import merge_rows
-from usdskin.capture.frames import open_frame
-from usdskin.capture.merge import CLIPPED, DARK, MOVED, merge_bracket
-from usdskin.capture.response import Response
+from usdskin.capture.brackets import bracket as capture_bracket
+from usdskin.capture.brackets import merge_rows
+from usdskin.capture.brackets.frames import open_frame
+from usdskin.capture.brackets.merge import CLIPPED, DARK, MOVED, merge_bracket
+from usdskin.capture.brackets.response import Response
 from usdskin.device import Workers, open_workers
 from usdskin.errors import ImageError, LayerError, UsageError
 

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from usdskin.capture.fill import fill_holes, find_holes
-from usdskin.capture.panorama import Compositor, Panorama, footprint
 from usdskin.capture.projection import (
     pixel_solid_angle,
     project,
     unproject,
     vignetting,
 )
+from usdskin.capture.views.fill import fill_holes, find_holes
+from usdskin.capture.views.panorama import Compositor, Panorama, footprint
 from usdskin.device import Workers, open_workers
 from usdskin.errors import LayerError
 from usdskin.latlong import (

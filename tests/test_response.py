@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usdskin.capture.response import (
+from usdskin.capture.brackets.response import (
     Response,
     read_response,
     recover_response,

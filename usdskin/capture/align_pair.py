@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,26 +129,11 @@ def fit_pair(
         (i for i, level in enumerate(levels) if np.degrees(level.spacing) >= _JUDGED_DEG),
         len(levels) - 1,
     )
-    stated, before = second.rotation, levels[judge].compare(second.rotation)
-    rotation = stated
-    state = "apart" if before.details < _FEWEST else "contradicting"
-    for start in _starts(levels[-1], stated, search_deg) if state != "apart" else ():
-        found = start
-        for level in reversed(levels[judge:]):
-            found = level.descend(found)
-        after = levels[judge].compare(found)
-        if after.is_coherent:
-            state, rotation = "constrained", found
-            break
-        if start is stated and _is_featureless(after, levels[max(judge - 1, 0)].compare(found)):
-            state = "featureless"
-            break
-    if state == "constrained":
-        for level in reversed(levels[:judge]):
-            found = level.descend(rotation)
-            if not level.compare(found).is_coherent:
-                break  # so fine that it is noise
-            rotation = found
+    stated = second.rotation
+    before = levels[judge].compare(stated)
+    state, rotation = "apart", stated
+    if before.details >= _FEWEST:
+        state, rotation = _turned(levels, judge, stated, search_deg)
     after = levels[judge].compare(rotation)
     return PairFit(
         state=state,
@@ -159,6 +144,29 @@ def fit_pair(
         correlation=after.correlation,
         gain=after.gain,
     )
+
+
+def _turned(
+    levels: list[_PairLevel], judge: int, stated: FloatArray, search_deg: float
+) -> tuple[str, FloatArray]:
+    """Return the state of a pair and the rotation that its second view is found to have."""
+    for start in _starts(levels[-1], stated, search_deg):
+        rotation = start
+        for level in reversed(levels[judge:]):
+            rotation = level.descend(rotation)
+        found = levels[judge].compare(rotation)
+        if found.is_coherent:
+            break
+        if start is stated and _is_featureless(found, levels[max(judge - 1, 0)].compare(rotation)):
+            return "featureless", stated
+    else:
+        return "contradicting", stated
+    for level in reversed(levels[:judge]):
+        finer = level.descend(rotation)
+        if not level.compare(finer).is_coherent:
+            break  # so fine that it is noise
+        rotation = finer
+    return "constrained", rotation
 
 
 def _matched(first: list[Level], second: list[Level]) -> list[tuple[Level, Level]]:
@@ -196,7 +204,8 @@ def _best(
 
 
 def _is_featureless(found: _Comparison, finer: _Comparison) -> bool:
-    if found.contrast < max(_FAINT, _WHITE * finer.contrast if finer is not found else 0.0):
+    """Return whether views show nothing, or noise, or nothing about some axis."""
+    if found.contrast < max(_FAINT, _WHITE * finer.contrast):
         return True
     powers = np.linalg.eigvalsh(found.power)
     nothing = len(found.first.band) * found.faint**2
@@ -208,17 +217,22 @@ class _PairLevel:
 
     def __init__(self, first: AlignView, second: AlignView, one: Level, other: Level) -> None:
         self.spacing = max(one.spacing, other.spacing)
+        self._views, self._levels = (first, second), (one, other)
         self._count = min(int(4.0 * np.pi / self.spacing**2), _MOST_SAMPLES)
-        directions = _directions(self._count)
-        seen, self._fixed = sample(one, first.lens, first.rotation, directions)
-        self._directions = directions[seen]
-        self._level, self._lens = other, second.lens
         self._in_detail = max(_DETAIL_PX * self.spacing**2 * self._count / (4.0 * np.pi), 1.0)
+
+    @cached_property
+    def _fixed(self) -> tuple[FloatArray, Samples]:
+        """The directions that the first view sees, and it there."""
+        directions = _directions(self._count)
+        view = self._views[0]
+        seen, samples = sample(self._levels[0], view.lens, view.rotation, directions)
+        return directions[seen], samples
 
     def compare(self, rotation: FloatArray) -> _Comparison:
         """Return both views where both see, the second one with a given rotation."""
-        both, moving = sample(self._level, self._lens, rotation, self._directions)
-        fixed = self._fixed
+        directions, fixed = self._fixed
+        both, moving = sample(self._levels[1], self._views[1].lens, rotation, directions)
         return _Comparison(
             first=Samples(fixed.band[both], fixed.moment[both], fixed.log[both]),
             second=moving,
@@ -229,9 +243,11 @@ class _PairLevel:
 
     def glance(self, rotation: FloatArray) -> float:
         """Return about the score of a comparison, quickly."""
+        directions, fixed = self._fixed
         every = slice(None, None, self._count // _GLANCES + 1)
-        both, moving = sample_band(self._level, self._lens, rotation, self._directions[every])
-        return _correlation(self._fixed.band[every][both], moving) * math.sqrt(int(both.sum()))
+        lens = self._views[1].lens
+        both, moving = sample_band(self._levels[1], lens, rotation, directions[every])
+        return _correlation(fixed.band[every][both], moving) * math.sqrt(int(both.sum()))
 
     def descend(self, rotation: FloatArray) -> FloatArray:
         """Return the rotation of the second view that fits best near a given one."""

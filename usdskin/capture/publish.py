@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdskin import __version__
-from usdskin.capture.measure import Measured, PlacedView
-from usdskin.capture.panorama import Panorama, footprint
-from usdskin.capture.qc import quality_picture
+from usdskin.capture.quality.measure import Measured, PlacedView
+from usdskin.capture.quality.picture import quality_picture
+from usdskin.capture.views.panorama import Panorama, footprint
 from usdskin.errors import LayerError
 from usdskin.images import Part, write_exr, write_png
 from usdskin.latlong import latlong_from_world

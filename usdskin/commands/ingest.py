@@ -103,9 +103,9 @@ def ingest(options: GlobalOptions, /, directory: Path, output: Path | None, **gi
         raise UsageError("missing option -o SHOOT.usda; or give --dry-run to write nothing.")
     if given["lens"] and (given["projection"] or given["field_deg"]):
         raise UsageError("--lens tells the projection; leave --projection and --fov out.")
-    from usdskin.capture.ingest import check_output, describe_survey, write_survey
-    from usdskin.capture.ingest_options import IngestOptions
-    from usdskin.capture.survey import survey
+    from usdskin.capture.ingest.options import IngestOptions
+    from usdskin.capture.ingest.step import check_output, describe_survey, write_survey
+    from usdskin.capture.ingest.survey import survey
     from usdskin.inspect import print_report
 
     for name in ("illuminance", "luminance"):

@@ -8,11 +8,18 @@ from typing import Any
 
 import click
 
-from usdskin.commands.options import StepCommand
+from usdskin.commands.options import StepCommand, with_paragraph_marks
 from usdskin.commands.reporter import GlobalOptions, Reporter
 from usdskin.errors import UsageError
 
 _PATH = click.Path(path_type=Path)
+
+_HELP = r"""Measure camera and lens.
+
+\b
+Example:
+    usdskin calibrate lens board/*.png --board charuco:7x5 -o lens.usda
+"""
 
 
 def _size(value: str) -> tuple[int, int]:
@@ -23,9 +30,9 @@ def _size(value: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-@click.group("calibrate")
+@click.group("calibrate", help=with_paragraph_marks(_HELP))
 def calibrate() -> None:
-    """Measure camera and lens."""
+    """Hold the commands that measure instruments."""
 
 
 @calibrate.command("lens", cls=StepCommand)
@@ -115,7 +122,7 @@ def _calibrate(
             raise UsageError(f"--{flag} belongs to --from FILE; leave it out")
     if not images or given["board"] is None:
         raise UsageError("give photographs and their --board, or a file with --from")
-    from usdskin.capture.lens import calibrate_lens
+    from usdskin.capture.lens.calibrate import calibrate_lens
     from usdskin.notes import Note
 
     notes: list[Note] = []
@@ -151,9 +158,9 @@ def _import(
     ):
         if value:
             raise UsageError(f"{name}: no use together with --from; leave one of them out")
-    from usdskin.capture.lens import import_lens
-    from usdskin.capture.lens_import import ImportOptions
-    from usdskin.capture.lens_lensfun import LensfunChoice
+    from usdskin.capture.lens.calibrate import import_lens
+    from usdskin.capture.lens.files import ImportOptions
+    from usdskin.capture.lens.lensfun import LensfunChoice
     from usdskin.notes import Note
 
     choice = LensfunChoice(

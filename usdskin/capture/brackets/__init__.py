@@ -1,0 +1,1 @@
+"""Photographs of one view become linear image values with their noise."""

@@ -1,0 +1,1 @@
+"""Photographs in folders become the layer of a shoot."""

@@ -1,0 +1,1 @@
+"""Lenses: measured with a board, or taken from other tools."""

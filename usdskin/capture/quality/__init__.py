@@ -1,0 +1,1 @@
+"""How right a panorama is: lamps, scale, figures, picture."""
