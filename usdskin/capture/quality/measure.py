@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.align import Alignment, AlignView
 from usdskin.capture.brackets.merge import MergeReport
 from usdskin.capture.quality.lamps import Lamp, Replacement, find_lamps, replace_lamp
 from usdskin.capture.quality.report import (
@@ -19,6 +18,7 @@ from usdskin.capture.quality.report import (
     report_view,
 )
 from usdskin.capture.quality.scale import MeasuredLamp, scale_of
+from usdskin.capture.views.align import Alignment, AlignView
 from usdskin.capture.views.panorama import Panorama
 from usdskin.errors import UsageError
 from usdskin.latlong import latlong_from_world
