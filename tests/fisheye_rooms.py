@@ -108,9 +108,6 @@ class Shot:
     glare: float = 0.0
     """Share of the light spread evenly over the picture [1]."""
 
-    gain: float = 1.0
-    """Factor on every value."""
-
 
 PERFECT = Shot()
 REALISTIC = Shot(noise=0.01, vignetting=0.02, glare=0.01)
@@ -126,7 +123,7 @@ def photograph(environment, rotation, *, size=360, max_angle=90.0, shot=PERFECT,
     x, y = np.meshgrid(steps, steps)
     phi, psi = np.hypot(x, y) / focal, np.arctan2(-y, x)
     rays = np.stack([np.sin(phi) * np.cos(psi), np.sin(phi) * np.sin(psi), -np.cos(phi)], axis=-1)
-    fine = sample(environment, rays @ rotation.T) * shot.gain
+    fine = sample(environment, rays @ rotation.T)
     fine *= (1.0 + shot.vignetting * (phi / (0.5 * np.pi)) ** 2)[..., None]
     picture = fine.reshape(size, 2, size, 2, 3).mean(axis=(1, 3))
     valid = phi.reshape(size, 2, size, 2).max(axis=(1, 3)) <= np.radians(max_angle)

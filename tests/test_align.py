@@ -23,7 +23,7 @@ from fisheye_rooms import (
 from usdskin.capture.projection import unproject
 from usdskin.capture.views.align import AlignView, align_views, reduce_view
 from usdskin.capture.views.align_features import build_levels, sample
-from usdskin.capture.views.align_pair import rotation_by, vector_of
+from usdskin.capture.views.rotation_vectors import rotation_by, vector_of
 from usdskin.images import read_image
 from usdskin.prims import FisheyeLens
 
@@ -57,7 +57,7 @@ def lens(size, max_angle=90.0):
     )
 
 
-def views(environments, true, *, size=360, max_angle=90.0, shots=REALISTIC):
+def views(environments, true, *, size=280, max_angle=90.0, shots=REALISTIC):
     """Return views at their true rotations; one environment and one shot may do for all."""
     environments = environments if isinstance(environments, list) else [environments] * len(true)
     shots = shots if isinstance(shots, list) else [shots] * len(true)
@@ -97,7 +97,7 @@ def states(alignment):
 
 @pytest.fixture(scope="module")
 def environment():
-    return room(3, 320)
+    return room(3, 256)
 
 
 @pytest.fixture(scope="module")
@@ -119,12 +119,13 @@ def four(photographed_sets):
 def rooms():
     """Return three views of each of four rooms, each shoot turned its own way."""
     turns = [random_turn(np.random.default_rng(seed), 40.0) for seed in range(4)]
-    return [views(room(seed, 256), turns[seed] @ THREE, size=300) for seed in range(4)]
+    return [views(room(seed, 256), turns[seed] @ THREE) for seed in range(4)]
 
 
 # --- What must be found --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_errors_of_half_a_degree_shrink_to_a_twentieth_over_20_seeds(rooms):
     """With noise, 2 % of vignetting and 1 % of glare left in the pictures."""
     errors = []
@@ -151,32 +152,35 @@ def test_errors_of_five_degrees_are_within_the_basin(photographed_sets, name, se
     assert largest_error(found.rotations, true) <= ACCURACY_DEG
 
 
-def test_moved_furniture_does_not_turn_views(environment):
+def test_moved_furniture_does_not_turn_views(environment, three):
     """Things of 24 degrees stand in the overlaps of one view that others do not see there."""
     moved = environment.copy()
     for middle in ([0.87, 0.0, 0.5], [0.0, -0.4, 0.9], [-0.8, 0.3, -0.4]):
         toward = directions(*moved.shape[:2]) @ (middle / np.linalg.norm(middle))
         moved[toward > np.cos(np.radians(12.0))] = [1.5, 0.3, 0.1]
-    photographed = views([environment, moved, environment], THREE)
+    photographed = [three[0], *views(moved, THREE[1:2]), three[2]]
     given = shaken(np.random.default_rng(5), THREE, 0.5)
     found = align_views(stated(photographed, given))
     assert largest_error(found.rotations, THREE) <= ACCURACY_DEG
 
 
-def test_gain_between_views_is_measured_and_does_not_turn_them(environment):
-    shots = [replace(REALISTIC, gain=gain) for gain in (1.0, 1.4, 0.7)]
+def test_gain_between_views_is_measured_and_does_not_turn_them(three):
     given = shaken(np.random.default_rng(5), THREE, 0.5)
-    found = align_views(stated(views(environment, THREE, shots=shots), given))
+    amplified = [
+        replace(view, values=view.values * np.float32(gain))
+        for view, gain in zip(stated(three, given), (1.0, 1.4, 0.7), strict=True)
+    ]
+    found = align_views(amplified)
     assert largest_error(found.rotations, THREE) <= ACCURACY_DEG
     # The median takes a share of the darkest pixels along, where the logarithm is bounded.
     np.testing.assert_allclose([pair.gain for pair in found.pairs], [1.4, 0.7, 0.5], rtol=0.06)
 
 
-def test_a_second_darker_bracket_of_a_view_fits_its_first(environment):
+def test_a_second_noisier_bracket_of_a_view_fits_its_first(environment, three):
     true = THREE[[0, 0]]
-    shots = [REALISTIC, Shot(noise=0.2)]
     given = shaken(np.random.default_rng(1), true, 0.5)
-    found = align_views(stated(views(environment, true, shots=shots), given))
+    second = views(environment, THREE[:1], shots=Shot(noise=0.2))
+    found = align_views(stated([three[0], *second], given))
     assert largest_error(found.rotations, true) <= ACCURACY_DEG
 
 
@@ -238,14 +242,14 @@ def test_views_that_do_not_overlap_stay(environment):
     assert not notes
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
 @pytest.mark.parametrize("kind", ["even", "sky", "rings"])
 def test_views_without_features_are_not_moved_by_noise(kind, noise):
     """``rings`` are alike all around: nothing tells how far a view is turned about the vertical."""
     up = directions(128, 256)[..., 1:2]
     shape = {"even": 0.0 * up + 0.4, "sky": 1.0 + 0.8 * up, "rings": np.exp(np.sin(25.0 * up))}
     given = shaken(np.random.default_rng(4), THREE, 0.5)
-    photographed = views(shape[kind] * np.ones(3), THREE, size=200, shots=Shot(noise=noise))
+    photographed = views(shape[kind] * np.ones(3), THREE, size=160, shots=Shot(noise=noise))
     notes = []
     found = align_views(stated(photographed, given), notes)
     assert_nothing_moved(found, given)
@@ -302,6 +306,7 @@ def test_exchanged_views_are_named(four):
     assert all("rotations of v1 and v2 are exchanged" in note.message for note in notes)
 
 
+@pytest.mark.slow
 def test_other_rooms_contradict_each_other_over_20_seeds(rooms):
     """Chance never aligns views of different places."""
     for seed in range(20):

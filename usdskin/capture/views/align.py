@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.capture.views.align_features import Level, build_levels
-from usdskin.capture.views.align_pair import PairFit, fit_pair, rotation_by, vector_of
+from usdskin.capture.views.align_pair import PairFit, fit_pair
 from usdskin.capture.views.align_view import AlignView, reduce_view
+from usdskin.capture.views.rotation_vectors import rotation_by, vector_of
 from usdskin.notes import Note
 
 __all__ = ["AlignView", "AlignedPair", "Alignment", "align_views", "reduce_view"]
