@@ -53,7 +53,7 @@ def lamps() -> NDArray[np.float64]:
 
 def photograph(lens: Any, rotation: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return a view of even light with lamps, 16 x 16 samples in the pixels of lamps."""
-    from usdskin.capture.projection import project, unproject
+    from usdskin.fisheye import project, unproject
 
     width, height = lens.resolution
     values = np.ones((height, width, 3), np.float32)

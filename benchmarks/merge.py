@@ -78,8 +78,8 @@ _ERRORS = (
 
 def measure_ours(job: dict[str, Any]) -> dict[str, Any]:
     """Merge with ``usdskin``, once to load kernels and files and then for the clock."""
-    from usdskin.capture.brackets import merge
     from usdskin.device import open_workers
+    from usdskin.photographs import merge
     from usdskin.prims import ExposureBracket, FisheyeLens, View
 
     count = len(TIMES)

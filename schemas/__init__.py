@@ -18,6 +18,7 @@ SCHEMA_NAMES = (
     "ColorChartAPI",
     "ExposureBracketAPI",
     "FisheyeCameraAPI",
+    "LightEstimateAPI",
     "SkinMaterialAPI",
     "SkinRenderSettingsAPI",
     "SkinSampleAPI",

@@ -20,10 +20,10 @@ from fisheye_rooms import (
     turn,
 )
 
-from usdskin.capture.projection import unproject
 from usdskin.capture.views.align import AlignView, align_views, reduce_view
 from usdskin.capture.views.align_features import build_levels, sample
 from usdskin.capture.views.rotation_vectors import rotation_by, vector_of
+from usdskin.fisheye import unproject
 from usdskin.images import read_image
 from usdskin.prims import FisheyeLens
 

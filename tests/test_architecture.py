@@ -17,11 +17,15 @@ FOLDERS = {
     "warp_kernels": "usdskin.warp_kernels",
 }
 
+SHARED = "usdskin.photographs"
+"""What several steps do to photographs: above the vocabulary, below the steps."""
+
 STEPS = ("usdskin.capture", "usdskin.estimate", "usdskin.render")
 """They meet in layers, never in Python."""
 
 ABOVE_STEPS = (
     "usdskin.judge",
+    "usdskin.plots",
     "usdskin.stage_checks",
     "usdskin.validate",
     "usdskin.inspect",
@@ -105,7 +109,7 @@ def within(name: str, package: str) -> bool:
 
 
 def layer(module: str) -> str:
-    for package in ("usdskin.schemas", KERNELS, *STEPS, *ABOVE_STEPS):
+    for package in ("usdskin.schemas", KERNELS, SHARED, *STEPS, *ABOVE_STEPS):
         if within(module, package):
             return package
     return "vocabulary" if within(module, "usdskin") else "outside"
@@ -139,8 +143,8 @@ def test_kernels_import_warp_and_numpy_only():
     refuse(broken, "warp_kernels take arrays and give arrays")
 
 
-def test_only_render_and_capture_touch_warp():
-    users = (KERNELS, "usdskin.render", "usdskin.capture")
+def test_only_those_who_compute_pixels_touch_warp():
+    users = (KERNELS, SHARED, "usdskin.render", "usdskin.capture")
     broken = [
         item
         for item in IMPORTS
@@ -148,7 +152,7 @@ def test_only_render_and_capture_touch_warp():
         and layer(item.module) not in users
         and item.module != "usdskin.device"
     ]
-    refuse(broken, "only render and capture start Warp, on the device they share")
+    refuse(broken, "Warp starts on the device that all of them share")
 
 
 def test_vocabulary_knows_no_step():
@@ -156,9 +160,18 @@ def test_vocabulary_knows_no_step():
         item
         for item in IMPORTS
         if layer(item.module) == "vocabulary"
-        and layer(item.name) in (*STEPS, *ABOVE_STEPS, KERNELS)
+        and layer(item.name) in (*STEPS, *ABOVE_STEPS, SHARED, KERNELS)
     ]
     refuse(broken, "the vocabulary lies below the steps")
+
+
+def test_photographs_know_no_step():
+    broken = [
+        item
+        for item in IMPORTS
+        if layer(item.module) == SHARED and layer(item.name) in (*STEPS, *ABOVE_STEPS)
+    ]
+    refuse(broken, "steps share photographs, which know none of them")
 
 
 def test_steps_do_not_import_one_another():
@@ -219,7 +232,7 @@ def test_colour_science_and_open3d_load_only_where_they_are_used():
     broken = [
         item
         for item in IMPORTS
-        if item.name.split(".")[0] in ("colour", "open3d", "scipy", "rich")
+        if item.name.split(".")[0] in ("colour", "open3d", "scipy", "rich", "matplotlib")
         and not item.within_function
         and not item.module.endswith(".generate")  # run by hand, imported by nobody
     ]

@@ -10,16 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from usdskin.capture.brackets.merge import ExposurePair, MergeReport
 from usdskin.capture.quality.lamps import find_lamps, replace_lamp
-from usdskin.capture.quality.meters import (
-    cosine_weights,
-    flux,
-    irradiance,
-    radiance_at,
-    sphere_share,
-    texel_vectors,
-)
 from usdskin.capture.quality.picture import HEIGHT, WIDTH, quality_picture
 from usdskin.capture.quality.report import (
     CaptureReport,
@@ -32,6 +23,15 @@ from usdskin.capture.quality.report import (
 from usdskin.capture.quality.scale import MeasuredLamp, Scale, scale_of
 from usdskin.errors import LayerError, UsageError
 from usdskin.latlong import latlong_coordinates, texel_directions, texel_solid_angles
+from usdskin.meters import (
+    cosine_weights,
+    flux,
+    irradiance,
+    radiance_at,
+    sphere_share,
+    texel_vectors,
+)
+from usdskin.photographs.merge import ExposurePair, MergeReport
 from usdskin.prims.captures import ExposureBracket, FisheyeLens, Shoot, View
 
 GREEN = np.array([0.0, 1.0, 0.0])

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from usdskin.capture.projection import (
+from usdskin.capture.views.panorama import lens_tables
+from usdskin.errors import LayerError
+from usdskin.fisheye import (
     angle_to_radius,
     check_lens,
     max_radius,
@@ -18,8 +20,6 @@ from usdskin.capture.projection import (
     unproject,
     vignetting,
 )
-from usdskin.capture.views.panorama import lens_tables
-from usdskin.errors import LayerError
 from usdskin.prims.captures import FisheyeLens
 from usdskin.warp_kernels import fisheye
 

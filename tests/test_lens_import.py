@@ -7,8 +7,8 @@ from usdskin.capture.lens.curve import IDEAL
 from usdskin.capture.lens.files import ImportOptions
 from usdskin.capture.lens.hugin import read_hugin
 from usdskin.capture.lens.lensfun import LensfunChoice, read_lensfun
-from usdskin.capture.projection import project, vignetting
 from usdskin.errors import UsageError, UsdSkinError
+from usdskin.fisheye import project, vignetting
 from usdskin.layers import open_stage
 from usdskin.prims import read_lens
 from usdskin.validate import validate

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from simulated_sensor import Sensor, bracket_view, photograph, write_dng, write_picture
 
-from usdskin.capture.brackets import bracket as capture_bracket
-from usdskin.capture.brackets import merge_rows
-from usdskin.capture.brackets.frames import open_frame
-from usdskin.capture.brackets.merge import CLIPPED, DARK, MOVED, merge_bracket
-from usdskin.capture.brackets.response import Response
 from usdskin.device import Workers, open_workers
 from usdskin.errors import ImageError, LayerError, UsageError
+from usdskin.photographs import bracket as capture_bracket
+from usdskin.photographs import merge_rows
+from usdskin.photographs.frames import open_frame
+from usdskin.photographs.merge import CLIPPED, DARK, MOVED, merge_bracket
+from usdskin.photographs.response import Response
 
 QUARTERS = 4.0 ** -np.arange(9.0)
 """Exposure times of a bracket of nine photographs, two stops apart [s]."""

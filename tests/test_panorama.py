@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from usdskin.capture.projection import (
+from usdskin.capture.views.fill import fill_holes, find_holes
+from usdskin.capture.views.panorama import Compositor, Panorama, footprint
+from usdskin.device import Workers, open_workers
+from usdskin.errors import LayerError
+from usdskin.fisheye import (
     pixel_solid_angle,
     project,
     unproject,
     vignetting,
 )
-from usdskin.capture.views.fill import fill_holes, find_holes
-from usdskin.capture.views.panorama import Compositor, Panorama, footprint
-from usdskin.device import Workers, open_workers
-from usdskin.errors import LayerError
 from usdskin.latlong import (
     latlong_coordinates,
     latlong_directions,

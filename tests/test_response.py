@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from usdskin.capture.brackets.response import (
+from usdskin.errors import LayerError
+from usdskin.photographs.response import (
     Response,
     read_response,
     recover_response,
     sample_pixels,
     write_response,
 )
-from usdskin.errors import LayerError
 from usdskin.prims import ExposureBracket, FisheyeLens, View
 
 USABLE = slice(12, 251)

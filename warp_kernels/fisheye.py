@@ -1,6 +1,6 @@
 """Fisheye views: their projection, from tables, and lookups between their pixels.
 
-The projection arrives tabulated from the host's float64 (``usdskin.capture.projection``), so no
+The projection arrives tabulated from the host's float64 (``usdskin.fisheye``), so no
 kernel knows the projections by name. With phi the angle from the optical axis, r(phi) is the image
 height.
 """

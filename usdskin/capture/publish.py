@@ -202,6 +202,7 @@ def _description(shoot: Shoot) -> dict[str, Any]:
         "capture:settings:model": shoot.model,
         "capture:settings:lens": shoot.lens,
         "capture:settings:whiteBalance": shoot.white_balance,
+        "capture:settings:iso": shoot.iso,
         "capture:illuminance": shoot.illuminance_lx or None,
         "capture:illuminance:direction": _vector(shoot.illuminance_direction),
         "capture:luminance": shoot.luminance or None,

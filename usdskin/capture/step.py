@@ -23,20 +23,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.brackets.development import find_responses
-from usdskin.capture.brackets.merge import MergedView, MergeReport, merge_bracket
-from usdskin.capture.projection import check_lens, scaled
 from usdskin.capture.publish import Publication, output_files, publish
 from usdskin.capture.quality.measure import PlacedView, measure
 from usdskin.capture.quality.report import CaptureReport
 from usdskin.capture.views.align import Alignment, align_views, reduce_view
-from usdskin.capture.views.glare import subtract_glare
 from usdskin.capture.views.panorama import Compositor, Panorama
 from usdskin.device import Workers, open_workers
 from usdskin.errors import LayerError, UsageError
+from usdskin.fisheye import check_lens, scaled
 from usdskin.latlong import latlong_from_world
 from usdskin.layers import open_stage
 from usdskin.notes import Note
+from usdskin.photographs.development import find_responses
+from usdskin.photographs.glare import subtract_glare
+from usdskin.photographs.merge import MergedView, MergeReport, merge_bracket
 from usdskin.prims import FisheyeLens, Shoot, View, read_shoot
 from usdskin.progress import Progress, SilentProgress
 

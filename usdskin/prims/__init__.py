@@ -6,6 +6,12 @@ Errors name the layer, the prim and the attribute, what is wrong with which valu
 from __future__ import annotations
 
 from usdskin.prims.applied import check_applied_schemas, check_stage_schemas
+from usdskin.prims.cameras import (
+    Recovery,
+    SpectralCamera,
+    read_spectral_camera,
+    write_spectral_camera,
+)
 from usdskin.prims.captures import (
     ExposureBracket,
     FisheyeLens,
@@ -19,33 +25,54 @@ from usdskin.prims.captures import (
     write_lens,
     write_rotation,
 )
+from usdskin.prims.charts import (
+    ColorChart,
+    read_color_chart,
+    read_color_charts,
+    write_color_chart,
+)
+from usdskin.prims.estimates import LightEstimate, read_light_estimate, write_light_estimate
 from usdskin.prims.lights import SpectralLight, read_spectral_light, write_spectral_light
+from usdskin.prims.panoramas import CapturedPanorama, read_captured_panorama
 from usdskin.prims.settings import SkinRenderSettings, read_render_settings_api
 from usdskin.prims.skin import SkinParameters, read_skin, write_skin
 from usdskin.prims.spectra import read_spectrum, write_spectrum
 
 __all__ = [
+    "CapturedPanorama",
+    "ColorChart",
     "ExposureBracket",
     "FisheyeLens",
+    "LightEstimate",
+    "Recovery",
     "Shoot",
     "SkinParameters",
     "SkinRenderSettings",
+    "SpectralCamera",
     "SpectralLight",
     "View",
     "check_applied_schemas",
     "check_stage_schemas",
     "read_bracket",
+    "read_captured_panorama",
+    "read_color_chart",
+    "read_color_charts",
     "read_lens",
+    "read_light_estimate",
     "read_render_settings_api",
     "read_shoot",
     "read_skin",
+    "read_spectral_camera",
     "read_spectral_light",
     "read_spectrum",
     "read_view",
     "write_bracket",
+    "write_color_chart",
     "write_lens",
+    "write_light_estimate",
     "write_rotation",
     "write_skin",
+    "write_spectral_camera",
     "write_spectral_light",
     "write_spectrum",
 ]

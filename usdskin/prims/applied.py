@@ -19,6 +19,8 @@ _MULTIPLE_APPLY = ("SpectralDistributionAPI", "SpectralRecoveryAPI")
 _NAMESPACES = {
     "bracket:": "ExposureBracketAPI",
     "capture:": "CaptureAPI",
+    "chart:": "ColorChartAPI",
+    "estimate:": "LightEstimateAPI",
     "fisheye:": "FisheyeCameraAPI",
     "inputs:skin:": "SkinMaterialAPI",
     "inputs:spectral:": "SpectralLightAPI",
@@ -29,6 +31,7 @@ _SPECTRUM = "spectrum:"
 SPECTRUM_INSTANCES = {
     "SkinMaterialAPI": ("reflectance", "scattering", "opacity"),
     "SpectralLightAPI": ("emission",),
+    "LightEstimateAPI": ("mean",),
     "ColorChartAPI": ("illuminant",),
 }
 """Instances of SpectralDistributionAPI that a schema reads."""

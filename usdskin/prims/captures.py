@@ -173,6 +173,9 @@ class Shoot:
     luminance_weights: FloatArray = field(default_factory=lambda: np.array([0.0, 1.0, 0.0]))
     """Weights of R, G, B that make a luminance of camera values [1], shape [3]."""
 
+    iso: FloatArray | None = None
+    """ISO settings of the photographs, ascending; None: at least one view does not state it."""
+
 
 def read_shoot(stage: Usd.Stage) -> Shoot:
     """Return the shoot a stage describes.
@@ -183,11 +186,11 @@ def read_shoot(stage: Usd.Stage) -> Shoot:
     Raises:
         LayerError: There is no such prim or several, it has no views, or an opinion cannot be used.
     """
-    prim = _capture_prim(stage)
+    prim = capture_prim(stage)
     check_applied_schemas(prim)
     values = read_schema(prim, "CaptureAPI", DEFAULT_TIME)
-    to_world = _matrix(prim)
-    views = tuple(read_view(camera) for camera in _view_prims(prim))
+    cameras = _view_prims(prim)
+    views = tuple(read_view(camera) for camera in cameras)
     if not views:
         raise LayerError(
             f"{describe(prim)}: has no views; put Cameras with ExposureBracketAPI below it, or "
@@ -209,14 +212,26 @@ def read_shoot(stage: Usd.Stage) -> Shoot:
         lens=values["capture:settings:lens"],
         white_balance=values["capture:settings:whiteBalance"],
         illuminance_lx=values["capture:illuminance"],
-        illuminance_direction=_direction(values["capture:illuminance:direction"], to_world),
+        illuminance_direction=reading_direction(prim, values["capture:illuminance:direction"]),
         luminance=values["capture:luminance"],
-        luminance_direction=_direction(values["capture:luminance:direction"], to_world),
+        luminance_direction=reading_direction(prim, values["capture:luminance:direction"]),
         luminance_weights=_weights(prim, values["capture:luminanceWeights"]),
+        iso=_stated_iso(cameras, views),
     )
 
 
-def _capture_prim(stage: Usd.Stage) -> Usd.Prim:
+def _stated_iso(cameras: list[Usd.Prim], views: tuple[View, ...]) -> FloatArray | None:
+    if not all(camera.GetAttribute("bracket:iso").HasAuthoredValue() for camera in cameras):
+        return None
+    return np.unique(np.concatenate([view.bracket.iso for view in views]))
+
+
+def capture_prim(stage: Usd.Stage) -> Usd.Prim:
+    """Return the prim of a stage's capture: the default prim, or the only one with ``CaptureAPI``.
+
+    Raises:
+        LayerError: There is no such prim, or several.
+    """
     default = stage.GetDefaultPrim()
     if default and default.HasAPI("CaptureAPI"):
         return default
@@ -367,9 +382,19 @@ def _rotation(prim: Usd.Prim) -> FloatArray:
     return np.asarray(left @ right)
 
 
-def _direction(given: FloatArray | None, to_world: FloatArray) -> FloatArray | None:
+def reading_direction(prim: Usd.Prim, given: FloatArray | None) -> FloatArray | None:
+    """Return the direction of a meter in the world.
+
+    Args:
+        prim: Prim with ``CaptureAPI``.
+        given: Direction in the prim's own frame, shape [3], or None.
+
+    Returns:
+        Unit vector, shape [3], or None.
+    """
     if given is None:
         return None
+    to_world = _matrix(prim)
     # A normal to a plane turns as the plane does; a meter's direction is one.
     world = np.linalg.inv(to_world).T @ given
     return np.asarray(world / np.linalg.norm(world))

@@ -224,6 +224,7 @@ def _recovery(values: Values) -> Iterator[Complaint]:
         ("illuminant", count),
         ("priorMean", count),
         ("priorCovariance", count**2),
+        ("posteriorStddev", count),
     ):
         if values[name] is not None and len(values[name]) != expected:
             text = f"has {len(values[name])} values; {count} rows of the matrix ask for {expected}"
@@ -265,12 +266,25 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
         wavelengths("spectral:wavelengths"),
         one_per("spectral:responsivity", "spectral:wavelengths", columns=3),
         counts("spectral:noise", (0, 3, 9), "3, or 9 for a covariance"),
+        above("spectral:settings:iso", 0.0, inclusive=False),
     ),
-    "SpectralRecoveryAPI": (_recovery, above("illuminant", 0.0)),
+    "SpectralRecoveryAPI": (
+        _recovery,
+        above("illuminant", 0.0),
+        above("posteriorStddev", 0.0),
+        one_per("patchGfc", "patches"),
+        one_per("patchRmse", "patches"),
+        one_per("patchDeltaE2000", "patches"),
+    ),
+    "LightEstimateAPI": (
+        one_per("estimate:classShares", "estimate:classes"),
+        above("estimate:classShares", 0.0),
+    ),
     "FisheyeCameraAPI": (above("fisheye:resolution", 1.0),),
     "CaptureAPI": (
         _directions("capture:illuminance:direction"),
         _directions("capture:luminance:direction"),
+        above("capture:settings:iso", 0.0, inclusive=False),
     ),
     "ExposureBracketAPI": (
         one_per("bracket:exposureTimes", "bracket:images"),
@@ -294,10 +308,19 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
         one_per("chart:cameraValues", "chart:patches", columns=3),
         rows("chart:signals", "chart:wavelengths", "chart:patches"),
         rows("chart:reflectances", "chart:wavelengths", "chart:patches"),
+        either("chart:signals", "chart:signals:file"),
         either("chart:signals", "chart:reflectances"),
+        either("chart:signals", "chart:reflectances:file"),
+        either("chart:signals:file", "chart:reflectances"),
+        either("chart:signals:file", "chart:reflectances:file"),
+        either("chart:reflectances", "chart:reflectances:file"),
+        either("chart:cameraValues", "chart:cameraValues:file"),
+        either("chart:cameraValues", "chart:image:file"),
+        either("chart:cameraValues:file", "chart:image:file"),
         above("chart:signals", 0.0),
         above("chart:reflectances", 0.0),
         counts("chart:corners", (0, 4), "the 4 corners"),
+        above("chart:settings:iso", 0.0, inclusive=False),
     ),
     "SkinSampleAPI": (
         wavelengths("samples:wavelengths"),

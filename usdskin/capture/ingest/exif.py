@@ -15,9 +15,9 @@ from typing import Any
 
 import OpenImageIO
 
-from usdskin.capture.brackets.frames import RAW_SUFFIXES
 from usdskin.errors import ImageError, UsageError
 from usdskin.images import read_headers
+from usdskin.photographs.frames import RAW_SUFFIXES
 
 _TIME = ("ExposureTime",)
 _F_NUMBER = ("FNumber",)

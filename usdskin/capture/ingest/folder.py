@@ -8,10 +8,10 @@ from collections.abc import Iterable, Mapping
 from fnmatch import fnmatch
 from pathlib import Path
 
-from usdskin.capture.brackets.frames import RAW_SUFFIXES
 from usdskin.capture.ingest.exposure_table import TABLE_NAME
 from usdskin.errors import UsageError
 from usdskin.notes import Note
+from usdskin.photographs.frames import RAW_SUFFIXES
 
 PICTURE_SUFFIXES = frozenset((".tif", ".tiff", ".exr", ".png", ".jpg", ".jpeg"))
 """Endings of the names of photographs that are not raw, in lower case."""

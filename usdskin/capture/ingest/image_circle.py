@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.projection import angle_to_radius, check_lens
+from usdskin.fisheye import angle_to_radius, check_lens
 from usdskin.prims import FisheyeLens
 
 FloatArray = NDArray[np.float64]

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.brackets.frames import open_frame
 from usdskin.capture.ingest.exif import Photo, import_rawpy, raw_reason
 from usdskin.errors import ImageError
+from usdskin.photographs.frames import open_frame
 
 SATURATED = 0.97
 """Share of the way from black to white at which the merge takes a pixel for saturated."""

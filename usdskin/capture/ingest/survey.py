@@ -32,9 +32,9 @@ from usdskin.capture.ingest.survey_checks import (
     note_pictures,
 )
 from usdskin.capture.ingest.survey_guesses import aim_views, find_lens, read_lens_layer
-from usdskin.capture.projection import scaled
 from usdskin.capture.viewpoints import Direction
 from usdskin.errors import LayerError, UsageError
+from usdskin.fisheye import scaled
 from usdskin.notes import Note
 from usdskin.prims import ExposureBracket, FisheyeLens, Shoot, View
 from usdskin.progress import Progress, SilentProgress

@@ -22,8 +22,8 @@ from usdskin.capture.lens.files import ImportOptions, read_lens_file
 from usdskin.capture.lens.fit import LEAST_VIEWS, Calibration, fit_lens
 from usdskin.capture.lens.models import MODELS
 from usdskin.capture.lens.plot import write_plot
-from usdskin.capture.projection import check_lens
 from usdskin.errors import ImageError, UsageError
+from usdskin.fisheye import check_lens
 from usdskin.layers import SettingValue, record_provenance, write_layer
 from usdskin.notes import Note
 from usdskin.prims import FisheyeLens, write_lens

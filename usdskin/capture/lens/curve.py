@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.projection import check_lens
 from usdskin.errors import UsageError, UsdSkinError
+from usdskin.fisheye import check_lens
 from usdskin.notes import Note
 from usdskin.prims.captures import FisheyeLens
 

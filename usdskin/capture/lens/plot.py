@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.capture.lens.fit import Calibration
-from usdskin.capture.projection import angle_to_radius
 from usdskin.errors import UsdSkinError
+from usdskin.fisheye import angle_to_radius
 from usdskin.images import replacing
 from usdskin.prims.captures import FisheyeLens
 

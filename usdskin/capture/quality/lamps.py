@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.quality.meters import cosine_weights, flux, texel_vectors
-from usdskin.capture.regions import label_regions, region_texels
 from usdskin.errors import UsageError
 from usdskin.latlong import latlong_coordinates, texel_directions, texel_solid_angles
+from usdskin.meters import cosine_weights, flux, texel_vectors
+from usdskin.regions import label_regions, region_texels
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.brackets.merge import MergeReport
 from usdskin.capture.quality.lamps import Lamp, Replacement, find_lamps, replace_lamp
 from usdskin.capture.quality.report import (
     CaptureReport,
@@ -23,6 +22,7 @@ from usdskin.capture.views.panorama import Panorama
 from usdskin.errors import UsageError
 from usdskin.latlong import latlong_from_world
 from usdskin.notes import Note
+from usdskin.photographs.merge import MergeReport
 from usdskin.prims import FisheyeLens, Shoot, View
 
 

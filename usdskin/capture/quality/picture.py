@@ -20,9 +20,9 @@ from usdskin.capture.quality.drawing import (
     write,
 )
 from usdskin.capture.quality.lamps import Lamp
-from usdskin.capture.quality.meters import sphere_share, texel_vectors
 from usdskin.colorimetry import encode_srgb
 from usdskin.latlong import latlong_coordinates, texel_solid_angles
+from usdskin.meters import sphere_share, texel_vectors
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]

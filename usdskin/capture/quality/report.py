@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.capture.quality.lamps import Lamp, Replacement
-from usdskin.capture.quality.meters import flux, sphere_share
 from usdskin.capture.quality.report_text import Statement, state
 from usdskin.capture.quality.scale import Scale
 from usdskin.latlong import texel_solid_angles
+from usdskin.meters import flux, sphere_share
 from usdskin.prims import View
 
 if TYPE_CHECKING:
-    from usdskin.capture.brackets.merge import ExposurePair, MergeReport
+    from usdskin.photographs.merge import ExposurePair, MergeReport
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.capture.quality.lamps import Lamp
-from usdskin.capture.quality.meters import irradiance, radiance_at
 from usdskin.errors import LayerError
+from usdskin.meters import irradiance, radiance_at
 from usdskin.notes import Note
 from usdskin.prims.captures import Shoot
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.projection import angle_to_radius, project, radius_slope
 from usdskin.capture.views.align_view import AlignView
+from usdskin.fisheye import angle_to_radius, project, radius_slope
 from usdskin.prims import FisheyeLens
 
 FloatArray = NDArray[np.float64]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.projection import unproject, vignetting
+from usdskin.fisheye import unproject, vignetting
 from usdskin.prims import FisheyeLens
 
 FloatArray = NDArray[np.float64]

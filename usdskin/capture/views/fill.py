@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.quality.meters import texel_vectors
-from usdskin.capture.regions import label_regions, region_texels
 from usdskin.latlong import latlong_coordinates, latlong_directions, texel_solid_angles
+from usdskin.meters import texel_vectors
+from usdskin.regions import label_regions, region_texels
 
 FloatArray = NDArray[np.float64]
 

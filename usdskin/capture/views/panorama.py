@@ -18,7 +18,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from usdskin.capture.projection import (
+from usdskin.capture.views.fill import Hole, fill_holes, find_holes
+from usdskin.device import Workers
+from usdskin.fisheye import (
     angle_to_radius,
     check_lens,
     max_radius,
@@ -27,8 +29,6 @@ from usdskin.capture.projection import (
     radius_to_angle,
     vignetting,
 )
-from usdskin.capture.views.fill import Hole, fill_holes, find_holes
-from usdskin.device import Workers
 from usdskin.latlong import texel_directions, texel_solid_angles
 from usdskin.prims.captures import FisheyeLens
 from usdskin.progress import Progress

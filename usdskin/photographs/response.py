@@ -15,9 +15,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.brackets.response_fit import fit_curve, is_usable
 from usdskin.errors import LayerError
 from usdskin.images import replacing
+from usdskin.photographs.response_fit import fit_curve, is_usable
 from usdskin.prims import View
 
 FloatArray = NDArray[np.float64]
@@ -70,7 +70,7 @@ class Response:
 
 
 class Rows(Protocol):
-    """A picture that gives its rows in order, such as ``usdskin.capture.brackets.frames.Frame``."""
+    """A picture that gives its rows in order, such as ``usdskin.photographs.frames.Frame``."""
 
     @property
     def width(self) -> int:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.projection import max_radius
+from usdskin.fisheye import max_radius
 from usdskin.prims import FisheyeLens
 
 _ROWS = 256

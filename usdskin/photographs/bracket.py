@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.brackets.frames import Frame, open_frame
 from usdskin.device import Workers
 from usdskin.errors import ImageError, LayerError
+from usdskin.photographs.frames import Frame, open_frame
 from usdskin.prims import View
 
 if TYPE_CHECKING:
-    from usdskin.capture.brackets.response import Response
+    from usdskin.photographs.response import Response
 
 FloatArray = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.brackets.bracket import OpenBracket, Samples
 from usdskin.notes import Note
+from usdskin.photographs.bracket import OpenBracket, Samples
 
 FloatArray = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from usdskin.capture.brackets.bracket import OpenBracket, reading_workers
-from usdskin.capture.brackets.noise import NoiseModel
 from usdskin.device import Workers, vec3
+from usdskin.photographs.bracket import OpenBracket, reading_workers
+from usdskin.photographs.noise import NoiseModel
 from usdskin.warp_kernels import bracket as kernels
 
 _BLOCK_BYTES = 48 * 2**20  # of raw values: small beside the merged view, large beside a chunk

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.brackets.bracket import OpenBracket, Samples
-from usdskin.capture.brackets.noise import NoiseModel
 from usdskin.errors import LayerError
 from usdskin.notes import Note
+from usdskin.photographs.bracket import OpenBracket, Samples
+from usdskin.photographs.noise import NoiseModel
 from usdskin.warp_kernels.bracket import SATURATION
 
 FloatArray = NDArray[np.float64]

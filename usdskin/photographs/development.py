@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from usdskin.capture.brackets.frames import RAW_SUFFIXES, open_frame
-from usdskin.capture.brackets.response import (
+from usdskin.errors import LayerError
+from usdskin.notes import Note
+from usdskin.photographs.frames import RAW_SUFFIXES, open_frame
+from usdskin.photographs.response import (
     Response,
     read_response,
     recover_response,
     sample_pixels,
 )
-from usdskin.errors import LayerError
-from usdskin.notes import Note
 from usdskin.prims import Shoot, View
 
 

@@ -12,8 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.brackets.bracket import OpenBracket, draw_samples, open_bracket
-from usdskin.capture.brackets.exposures import (
+from usdskin.device import Workers
+from usdskin.errors import ImageError
+from usdskin.notes import Note
+from usdskin.photographs.bracket import OpenBracket, draw_samples, open_bracket
+from usdskin.photographs.exposures import (
     ExposurePair,
     compare_exposures,
     least_values,
@@ -21,18 +24,15 @@ from usdskin.capture.brackets.exposures import (
     note_gaps,
     settle_exposures,
 )
-from usdskin.capture.brackets.flat import divide_by_flat
-from usdskin.capture.brackets.merge_rows import merge_all_rows
-from usdskin.capture.brackets.noise import NoiseModel, find_noise
-from usdskin.device import Workers
-from usdskin.errors import ImageError
-from usdskin.notes import Note
+from usdskin.photographs.flat import divide_by_flat
+from usdskin.photographs.merge_rows import merge_all_rows
+from usdskin.photographs.noise import NoiseModel, find_noise
 from usdskin.prims import View
 from usdskin.progress import Progress, SilentProgress
 from usdskin.warp_kernels.bracket import CLIPPED, DARK, MOVED, SATURATION
 
 if TYPE_CHECKING:
-    from usdskin.capture.brackets.response import Response
+    from usdskin.photographs.response import Response
 
 __all__ = [
     "CLIPPED",

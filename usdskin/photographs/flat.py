@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.capture.brackets.bracket import OpenBracket
-from usdskin.capture.brackets.frames import Frame
 from usdskin.errors import ImageError
 from usdskin.notes import Note
+from usdskin.photographs.bracket import OpenBracket
+from usdskin.photographs.frames import Frame
 from usdskin.warp_kernels.bracket import SATURATION
 
 _ROWS_PER_BLOCK = 64

@@ -1,0 +1,1 @@
+"""What the light and the skin are, estimated from what was captured and measured."""

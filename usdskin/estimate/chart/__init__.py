@@ -1,0 +1,1 @@
+"""The patches of a color chart: their camera values and their spectra."""

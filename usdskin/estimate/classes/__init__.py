@@ -1,0 +1,1 @@
+"""Which lamp lights what, where a scene has lamps of several kinds."""

@@ -1,0 +1,1 @@
+"""From a captured or any other panorama to a spectral DomeLight."""

@@ -1,0 +1,1 @@
+"""From camera values to spectra: the generalised inverses, and how good they are."""

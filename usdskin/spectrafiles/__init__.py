@@ -1,0 +1,1 @@
+"""Spectra from the files of instruments: CSV, CGATS, SPDX and TM-27."""
