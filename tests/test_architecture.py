@@ -28,6 +28,7 @@ ABOVE_STEPS = (
     "usdskin.plots",
     "usdskin.stage_checks",
     "usdskin.validate",
+    "usdskin.inspect_estimates",
     "usdskin.inspect",
     "usdskin.commands",
     "usdskin.cli",

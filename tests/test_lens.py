@@ -10,7 +10,7 @@ from usdskin.capture.lens.calibrate import calibrate_lens, import_lens
 from usdskin.capture.lens.fit import fit_lens
 from usdskin.capture.lens.models import MODELS
 from usdskin.capture.lens.solve import solve
-from usdskin.commands.lens import COMMANDS
+from usdskin.commands.calibrate import COMMANDS
 from usdskin.commands.reporter import GlobalOptions
 from usdskin.errors import ImageError, UsageError
 from usdskin.fisheye import project

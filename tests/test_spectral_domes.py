@@ -168,6 +168,20 @@ def test_negative_coefficients_of_a_positive_light_are_fine(tmp_path):
     np.testing.assert_array_equal(only_dome(stage).coefficients, coefficients)
 
 
+def test_spectra_that_dip_below_zero_are_noted_and_used_as_they_are(tmp_path):
+    coefficients = np.ones((4, 8, 2), np.float32)
+    coefficients[1, 2] = [1.0, -2.0]
+    basis = np.stack([np.ones(61), np.where(np.arange(61) == 30, 1.0, 0.0)])
+    stage = new_stage()
+    basis_dome(stage, write_coefficients(tmp_path / "c.exr", coefficients), basis)
+    notes = []
+    np.testing.assert_array_equal(only_dome(stage, notes).coefficients, coefficients)
+    assert notes[0].code == "spectra-dip"
+    assert "1 of 32 pixels" in notes[0].message and "x 2, y 1" in notes[0].message
+    clamped = only_dome(stage, bad_pixels="clamp")
+    assert radiance(clamped)[1, 2, 30] == pytest.approx(0.0, abs=1e-6)
+
+
 def negative_basis_case(tmp_path):
     coefficients = RNG.random((8, 16, 3)).astype(np.float32)
     coefficients[5, 3] = [0.5, -2.0, 0.1]

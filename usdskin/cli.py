@@ -18,7 +18,16 @@ from typing import Any
 import click
 
 from usdskin import __version__
-from usdskin.commands import capture, files, ingest, lens, photograph, pictures, system
+from usdskin.commands import (
+    calibrate,
+    capture,
+    estimate,
+    files,
+    ingest,
+    photograph,
+    pictures,
+    system,
+)
 from usdskin.commands.options import StepCommand, global_options, with_paragraph_marks
 from usdskin.commands.reporter import GlobalOptions, print_event
 from usdskin.errors import EXIT_DEVICE, EXIT_INPUT, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, UsdSkinError
@@ -79,7 +88,8 @@ for _command in (
     *photograph.COMMANDS,
     *ingest.COMMANDS,
     *capture.COMMANDS,
-    *lens.COMMANDS,
+    *calibrate.COMMANDS,
+    *estimate.COMMANDS,
     *pictures.COMMANDS,
     *files.READING,
     *system.COMMANDS,

@@ -33,6 +33,7 @@ _DAYLIGHT_NAME_SCALE = _SECOND_RADIATION_CONSTANT / 1.4380e-2
 
 _FINE_STEP_NM = 0.5
 _MAX_FILE_BYTES = 16 * 1024 * 1024
+_INSTRUMENT_SUFFIXES = (".cgats", ".sp", ".spdx", ".ti3", ".xml")
 _TEMPERATURE = re.compile(r"^(\d+(?:\.\d+)?)K$")
 _DAYLIGHT = re.compile(r"^D(\d{2,3})$")
 _OLD_FLUORESCENT = re.compile(r"^F(\d.*)$")
@@ -72,7 +73,8 @@ def illuminant(name: str, wavelength_nm: ArrayLike) -> FloatArray:
     Args:
         name: A CIE illuminant (``A``, ``D65``, ``FL2`` or ``F2``, ``FL3.7``, ``HP1``, ``LED-B3``,
             ...), any daylight ``D40`` to ``D250``, a black body such as ``3200K``, or the path of
-            a text file with two columns, wavelength [nm] and value.
+            a text file with two columns, wavelength [nm] and value, or of an SPDX, TM-27 or CGATS
+            file.
         wavelength_nm: Band centres [nm], strictly ascending, shape [band_count].
 
     Returns:
@@ -183,6 +185,10 @@ def _read_file(name: str) -> tuple[FloatArray, FloatArray]:
             f"illuminant {name!r} is neither a known name{hint} nor a file; name a CIE illuminant "
             "such as D65, A or FL2, a temperature such as 3200K, or a file of wavelength, value"
         )
+    if path.suffix.lower() in _INSTRUMENT_SUFFIXES:
+        from usdskin.spectrafiles import single_spectrum
+
+        return single_spectrum(path)
     if path.stat().st_size > _MAX_FILE_BYTES:
         raise UsdSkinError(f"{path}: larger than 16 MiB, so not a spectrum; give two columns")
     try:

@@ -1,52 +1,30 @@
-"""Write EXR, spectral EXR and PNG files atomically.
-
-Every write goes to a temporary file in the destination folder, is flushed to disk and then
-renamed, so a reader sees the old file or the new one and nothing in between.
-
-OpenImageIO writes the EXR files, not the OpenEXR module: the latter needs one contiguous array per
-channel (a strided view is written as if it were contiguous), which costs a second copy of a
-spectral picture. Rows are interleaved here a block at a time.
-"""
+"""Write whole pictures as EXR, spectral EXR and PNG files, atomically (``usdskin.replacing``)."""
 
 from __future__ import annotations
 
-import os
-import secrets
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import OpenImageIO
 from numpy.typing import NDArray
 
-from usdskin.errors import ImageError
+from usdskin.exr_rows import CHROMATICITIES, HALF_MAX, Raster, RowWriter, open_exr_parts
+from usdskin.replacing import replacing
 from usdskin.spectral_layout import channel_name
 
-CHROMATICITIES = {
-    "lin_rec709_scene": (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290),
-    "lin_rec2020_scene": (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290),
-    "lin_p3d65_scene": (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, 0.3127, 0.3290),
-    "lin_adobergb_scene": (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290),
-    "lin_ap0_scene": (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.0770, 0.32168, 0.33767),
-    "lin_ap1_scene": (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767),
-}
-"""Red, green, blue and white (x, y) of the color interop IDs that name linear RGB spaces, as in
-``OpenEXR.colorInteropIDToChromaticities`` (OpenEXR 3.5)."""
-
-HALF_MAX = 65504.0
-"""Largest finite binary16 number (IEEE 754)."""
-
-_ROWS_PER_BLOCK = 64  # several chunks, which are compressed side by side
-_ROWS_PER_CHUNK = 16  # of zip
-_BLOCK_BYTES = 64 * 2**20
-_COMPRESSIONS = frozenset(
-    ("none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab")
-)
+__all__ = [
+    "CHROMATICITIES",
+    "HALF_MAX",
+    "Part",
+    "replacing",
+    "write_exr",
+    "write_png",
+    "write_spectral_exr",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,17 +49,6 @@ class Part:
     """Color interop ID of the pixels."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Raster:
-    """A part as it goes to the file: channel names, and layers [height, width, k] side by side."""
-
-    names: list[str]
-    layers: list[NDArray[Any]]
-    attributes: dict[str, Any]
-    sample_type: str
-    color_space: str
-
-
 def write_exr(
     path: str | Path,
     parts: Sequence[Part],
@@ -104,8 +71,21 @@ def write_exr(
     Raises:
         ImageError: The file cannot be written; nothing is left behind.
     """
-    rasters = [_raster(part) for part in parts]
-    _write_rasters(path, rasters, compression, pixel_aspect_ratio, origin, display_size)
+    names, layers = zip(*(_channels(part) for part in parts), strict=True)
+    rasters = [
+        Raster(
+            *_size(layers),
+            channel_names,
+            part.sample_type,
+            part.color_space,
+            {**part.attributes, "oiio:subimagename": part.name},
+            pixel_aspect_ratio,
+            origin,
+            display_size,
+        )
+        for part, channel_names in zip(parts, names, strict=True)
+    ]
+    _write_layers(path, rasters, layers, compression)
 
 
 def write_spectral_exr(
@@ -147,8 +127,12 @@ def write_spectral_exr(
     header: dict[str, Any] = {**(attributes or {}), "spectralLayoutVersion": "1.0"}
     if layer == "S0":
         header["emissiveUnits"] = units
-    raster = _Raster([*"RGBA"[: rgb.shape[2]], *bands], [rgb, pixels], header, "float", color_space)
-    _write_rasters(path, [raster], compression, pixel_aspect_ratio, (0, 0), None)
+    names = [*"RGBA"[: rgb.shape[2]], *bands]
+    layers = [[rgb, pixels]]
+    raster = Raster(
+        *_size(layers), names, "float", color_space, header, pixel_aspect_ratio=pixel_aspect_ratio
+    )
+    _write_layers(path, [raster], layers, compression)
 
 
 def write_png(
@@ -189,43 +173,12 @@ def write_png(
         Path(temporary).write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
 
 
-@contextmanager
-def replacing(path: str | Path) -> Iterator[str]:
-    """Give the name of a temporary file that becomes ``path`` when the block ends well.
-
-    The file is flushed to disk before it is renamed, and removed when the block raises.
-
-    Raises:
-        ImageError: The folder is missing or not writable.
-    """
-    path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
-    try:
-        if path.is_dir():
-            raise ImageError(f"{path}: cannot write; it is a folder, so choose another name.")
-        if not path.parent.is_dir():
-            raise ImageError(
-                f"{path}: cannot write; the folder {path.parent} does not exist, so make it first."
-            )
-        yield str(temporary)
-        with open(temporary, "rb") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise ImageError(
-            f"{path}: cannot write; {error.strerror or error}; check the folder's permissions and "
-            "free space."
-        ) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-
-
 def _png_chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-def _raster(part: Part) -> _Raster:
+def _channels(part: Part) -> tuple[list[str], list[NDArray[Any]]]:
+    """Return the names of a part's channels, and layers [height, width, k] to put side by side."""
     names, layers = [], []
     for layer, pixels in part.channels.items():
         if pixels.ndim == 2:
@@ -238,119 +191,35 @@ def _raster(part: Part) -> _Raster:
         layers.append(pixels)
     if part.sample_type == "uint" and any(layer.dtype.kind not in "ui" for layer in layers):
         raise ValueError(f"part {part.name!r}: uint samples need integer pixels")
-    attributes = {**part.attributes, "oiio:subimagename": part.name}
-    return _Raster(names, layers, attributes, part.sample_type, part.color_space)
+    return names, layers
 
 
-def _write_rasters(
-    path: str | Path,
-    rasters: Sequence[_Raster],
-    compression: str,
-    pixel_aspect_ratio: float,
-    origin: tuple[int, int],
-    display_size: tuple[int, int] | None,
-) -> None:
-    if Path(path).suffix.lower() != ".exr":
-        # OpenImageIO would write a JPEG for a name that ends in .jpg.
-        raise ImageError(f"{path}: cannot write; the name must end in .exr.")
-    if compression.split(":")[0] not in _COMPRESSIONS:
-        # OpenImageIO would take zip for a name it does not know.
-        raise ImageError(f"{path}: no EXR compression {compression!r}; use none, zips, zip, piz.")
-    if len({layer.shape[:2] for raster in rasters for layer in raster.layers}) != 1:
+def _size(layers: Sequence[Sequence[NDArray[Any]]]) -> tuple[int, int]:
+    """Return width and height of the layers of all parts."""
+    sizes = {layer.shape[:2] for part in layers for layer in part}
+    if len(sizes) != 1:
         raise ValueError("all layers of an EXR file must have one size")
-    specs: list[Any] = []
-    for raster in rasters:
-        height, width = raster.layers[0].shape[:2]
-        spec = OpenImageIO.ImageSpec(width, height, len(raster.names), raster.sample_type)
-        spec.channelnames = tuple(raster.names)
-        spec.x, spec.y = origin
-        spec.full_width, spec.full_height = display_size or (width, height)
-        # Without a DateTime of ours OpenImageIO stamps the hour, and no file comes out twice alike.
-        _set_attributes(spec, {"DateTime": "", **raster.attributes})
-        spec.attribute("PixelAspectRatio", float(pixel_aspect_ratio))
-        spec.attribute("compression", compression)
-        spec.attribute("colorInteropID", raster.color_space)
-        # All parts share one set of chromaticities (OpenEXR's rule); the first part tells it.
-        if not specs and raster.color_space in CHROMATICITIES:
-            spec.attribute("chromaticities", "float[8]", CHROMATICITIES[raster.color_space])
-        specs.append(spec)
-
-    with replacing(path) as temporary:
-        output = OpenImageIO.ImageOutput.create(temporary)
-        if output is None:
-            raise ImageError(f"{path}: cannot write; {_reason(OpenImageIO, temporary)}.")
-        try:
-            for index, (spec, raster) in enumerate(zip(specs, rasters, strict=True)):
-                first = output.open(temporary, specs) if index == 0 else True
-                more = output.open(temporary, spec, "AppendSubimage") if index else True
-                if not (first and more and _write_rows(output, spec, raster)):
-                    raise ImageError(f"{path}: cannot write; {_reason(output, temporary)}.")
-        finally:
-            closed = output.close()
-        if not (closed and _is_complete(temporary)):
-            raise ImageError(f"{path}: cannot write; {_reason(output, temporary)}.")
+    height, width = sizes.pop()
+    return width, height
 
 
-def _write_rows(output: Any, spec: Any, raster: _Raster) -> bool:
+def _write_layers(
+    path: str | Path,
+    rasters: Sequence[Raster],
+    layers: Sequence[Sequence[NDArray[Any]]],
+    compression: str,
+) -> None:
+    with open_exr_parts(path, rasters, compression) as writers:
+        for writer, of_part in zip(writers, layers, strict=True):
+            _write_part(writer, of_part)
+
+
+def _write_part(writer: RowWriter, layers: Sequence[NDArray[Any]]) -> None:
+    """Interleave the layers a block of rows at a time, so that nothing is held twice."""
+    raster = writer.raster
     dtype = np.uint32 if raster.sample_type == "uint" else np.float32
-    row_bytes = 4 * spec.width * spec.nchannels
-    row_count = _ROWS_PER_BLOCK if row_bytes * _ROWS_PER_BLOCK <= _BLOCK_BYTES else _ROWS_PER_CHUNK
-    for start in range(0, spec.height, row_count):
-        stop = min(start + row_count, spec.height)
-        block = np.empty((stop - start, spec.width, spec.nchannels), dtype)
-        np.concatenate(
-            [layer[start:stop] for layer in raster.layers], axis=2, out=block, casting="unsafe"
-        )
-        if raster.sample_type == "half":
-            finite = np.isfinite(block)
-            np.clip(block, -HALF_MAX, HALF_MAX, out=block, where=finite)
-        if not output.write_scanlines(spec.y + start, spec.y + stop, 0, block):
-            return False
-    return True
-
-
-def _is_complete(file: str) -> bool:
-    """Return whether the last chunk of every part is there.
-
-    OpenImageIO closes a file as if all were well when the disk is too full for its last buffer.
-    """
-    OpenImageIO.attribute("limits:imagesize_MB", 2**30)  # a read before may have set a lower one
-    source = OpenImageIO.ImageInput.open(file)
-    if source is None:
-        OpenImageIO.geterror()  # else it is printed when the process ends
-        return False
-    try:
-        index = 0
-        while source.seek_subimage(index, 0):
-            spec = source.spec()
-            last = spec.y + spec.height
-            if source.read_scanlines(index, 0, last - 1, last, 0, 0, 1, "float") is None:
-                return False
-            index += 1
-        source.geterror()  # of the seek beyond the last part
-        return index > 0
-    finally:
-        source.close()
-
-
-def _set_attributes(spec: Any, attributes: Mapping[str, Any]) -> None:
-    for name, value in attributes.items():
-        if isinstance(value, np.ndarray) and value.shape == (4, 4):
-            spec.attribute(name, "matrix", tuple(float(number) for number in value.flat))
-        elif isinstance(value, (int, np.integer)) and abs(int(value)) < 2**31:
-            spec.attribute(name, int(value))
-        elif isinstance(value, (float, np.floating)):
-            spec.attribute(name, float(value))
-        else:
-            spec.attribute(name, str(value))
-
-
-def _reason(output: Any, temporary: str) -> str:
-    try:
-        lines = output.geterror().splitlines()
-    except UnicodeDecodeError:
-        lines = []
-    if not lines:
-        return "the file could not be completed; check the free space"
-    reason = str(lines[0]).replace(f' "{temporary}"', "").rstrip(". ")
-    return f"{reason}; check the free space"
+    for begin in range(0, raster.height, raster.rows_per_block):
+        end = min(begin + raster.rows_per_block, raster.height)
+        block = np.empty((end - begin, raster.width, len(raster.channel_names)), dtype)
+        np.concatenate([layer[begin:end] for layer in layers], axis=2, out=block, casting="unsafe")
+        writer.write(begin, block)

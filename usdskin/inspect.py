@@ -13,6 +13,12 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from usdskin.errors import UsdSkinError
+from usdskin.inspect_estimates import (
+    chart_row,
+    light_estimate_row,
+    recovery_rows,
+    spectral_camera_row,
+)
 from usdskin.notes import Note
 
 LAYER_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
@@ -56,13 +62,17 @@ def _stage_report(path: Path, stage: Any, notes: list[Note]) -> Report:
 
     problems: list[str] = []
     report: Report = {"file": str(path), "kind": "stage", "summary": _stage_summary(stage)}
-    kinds: Sequence[tuple[str, Callable[[Any], bool], Callable[[Any], Row]]] = (
+    kinds: Sequence[tuple[str, Callable[[Any], bool], Callable[[Any], Row | list[Row]]]] = (
         ("cameras", _is_render_camera, _camera_row),
         ("lights", lambda prim: prim.HasAPI(UsdLux.LightAPI), _light_row),
         ("materials", lambda prim: prim.IsA(UsdShade.Material), _material_row),
         ("meshes", lambda prim: prim.IsA(UsdGeom.Gprim), _gprim_row),
         ("captures", lambda prim: prim.HasAPI("CaptureAPI"), _capture_row),
         ("views", lambda prim: prim.HasAPI("FisheyeCameraAPI"), _view_row),
+        ("charts", lambda prim: prim.HasAPI("ColorChartAPI"), chart_row),
+        ("calibrations", _is_calibrated, spectral_camera_row),
+        ("recoveries", _is_calibrated, recovery_rows),
+        ("estimates", lambda prim: prim.HasAPI("LightEstimateAPI"), light_estimate_row),
         ("renderSettings", lambda prim: prim.IsA(UsdRender.Settings), _settings_row),
         ("variants", lambda prim: prim.HasVariantSets(), _variant_row),
     )
@@ -72,10 +82,12 @@ def _stage_report(path: Path, stage: Any, notes: list[Note]) -> Report:
         for name, belongs, row in kinds:
             if belongs(prim):
                 try:
-                    report[name].append({"path": str(prim.GetPath()), **row(prim)})
+                    rows = row(prim)
+                    rows = rows if isinstance(rows, list) else [rows]
+                    report[name] += [{"path": str(prim.GetPath()), **item} for item in rows]
                 except UsdSkinError as error:
                     problems.append(str(error))
-    if report["meshes"] or not report["captures"]:
+    if report["meshes"] or not any(report[name] for name in ("captures", "calibrations", "charts")):
         _try_reading(stage, notes, problems)
     report["notes"] = [
         {"code": note.code, "path": note.path, "message": note.message} for note in notes
@@ -87,7 +99,12 @@ def _stage_report(path: Path, stage: Any, notes: list[Note]) -> Report:
 def _is_render_camera(prim: Any) -> bool:
     from pxr import UsdGeom
 
-    return prim.IsA(UsdGeom.Camera) and not prim.HasAPI("FisheyeCameraAPI")
+    instruments = ("FisheyeCameraAPI", "SpectralCameraAPI")
+    return prim.IsA(UsdGeom.Camera) and not any(prim.HasAPI(name) for name in instruments)
+
+
+def _is_calibrated(prim: Any) -> bool:
+    return bool(prim.HasAPI("SpectralCameraAPI"))
 
 
 def _try_reading(stage: Any, notes: list[Note], problems: list[str]) -> None:

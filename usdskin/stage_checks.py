@@ -139,7 +139,8 @@ def _check_coefficients(prim: Usd.Prim, light: SpectralLight) -> Iterator[Findin
     for start in range(0, len(texels), _TEXELS_AT_ONCE):
         with np.errstate(invalid="ignore", over="ignore"):
             radiance = texels[start : start + _TEXELS_AT_ONCE] @ light.basis
-        bad += int((~np.isfinite(radiance) | (radiance < 0.0)).any(axis=1).sum())
+        # Linearly recovered spectra dip below 0 in places; light as a whole does not.
+        bad += int((~np.isfinite(radiance).all(axis=1) | (radiance.sum(axis=1) < 0.0)).sum())
     yield from _bad_texels(prim, name, bad, len(texels))
 
 

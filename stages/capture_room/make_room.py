@@ -7,7 +7,9 @@ the range of a real one.
 
 Writes: ``room.exr``, coefficients of six spectra (each lamp through the three reflectances of
         ``usdskin.uplift.reflectance_basis``), ``room_rgb.exr``, the same as RGB for other tools,
-        and ``room.usda``. All are committed; run this after a change.
+        and ``room.usda``; and the room in the light of one kind of lamp, ``tubes.usda`` and
+        ``window.usda`` with ``tubes_rgb.exr`` and ``window_rgb.exr``. All are committed; run this
+        after a change, or with --layers where ``room.exr`` is to stay.
 """
 
 from __future__ import annotations
@@ -20,6 +22,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from room_layers import (
+    ALONE,
+    WAVELENGTH_NM,
+    alone,
+    basis,
+    rendition,
+    rounded,
+    write_rgb,
+    write_stage,
+    write_stage_alone,
+)
 from surfaces import (
     FELT_BLUE,
     FELT_OCHRE,
@@ -37,21 +50,14 @@ from surfaces import (
     tiles,
 )
 
-from usdskin.colorimetry import illuminant, xyz_to_rgb, xyz_weights
-from usdskin.images import Part, write_exr
+from usdskin.images import Part, read_image, write_exr
 from usdskin.latlong import latlong_directions
-from usdskin.layers import write_layer
-from usdskin.uplift import reflectance_basis
-
-# isort: split
-# After ours, which register the schemas.
-from pxr import Sdf, Usd, UsdGeom, UsdLux, Vt
 
 FloatArray = NDArray[np.float64]
 
+__all__ = ["WAVELENGTH_NM", "coefficients", "main", "rounded"]
+
 FOLDER = Path(__file__).resolve().parent
-WAVELENGTH_NM = np.arange(380.0, 781.0, 5.0)
-LAMPS = ("FL2", "D65")
 
 # The camera is at the origin, 1.4 m above the floor; metres, +Y up.
 ROOM = np.array([(-3.2, -1.4, -4.3), (3.8, 1.4, 3.2)])
@@ -340,64 +346,26 @@ def coefficients(height: int, samples: int = 2, rows: Sequence[int] | None = Non
         return np.stack(list(pool.map(one, range(height) if rows is None else rows)))
 
 
-def rounded(values: FloatArray, bits: int = 6) -> NDArray[np.float32]:
-    """Return values with few binary digits, so that the file is small; they are the truth then."""
-    mantissa, exponent = np.frexp(values)
-    return np.ldexp(np.rint(mantissa * 2.0**bits) / 2.0**bits, exponent).astype(np.float32)
-
-
-def basis() -> FloatArray:
-    """Return the spectra of the coefficients [W m^-2 sr^-1 nm^-1 per cd m^-2], shape [6, bands]."""
-    rows = []
-    for lamp in LAMPS:
-        power = illuminant(lamp, WAVELENGTH_NM)
-        power = power / (power @ xyz_weights(WAVELENGTH_NM, absolute=True)[:, 1])
-        rows.append(reflectance_basis(WAVELENGTH_NM) * power)
-    return np.concatenate(rows)
-
-
-def write_stage(path: Path, spectra: FloatArray) -> None:
-    """Write the room as a layer that stands alone."""
-    stage = Usd.Stage.CreateInMemory()
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetMetadata(
-        "documentation", "A room in absolute units, seen from its middle. See README."
-    )
-    room = UsdGeom.Xform.Define(stage, "/Room")
-    stage.SetDefaultPrim(room.GetPrim())
-    dome = UsdLux.DomeLight.Define(stage, "/Room/Light")
-    dome.CreateTextureFileAttr(Sdf.AssetPath("./room_rgb.exr"))
-    dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
-    prim = dome.GetPrim()
-    prim.ApplyAPI("SpectralLightAPI")
-    values = {
-        "source": "basis",
-        "units": "absolute",
-        "coefficients:file": Sdf.AssetPath("./room.exr"),
-        "basis": Vt.DoubleArray([float(f"{value:.6g}") for value in spectra.ravel()]),
-        "basis:wavelengths": Vt.DoubleArray(WAVELENGTH_NM.tolist()),
-    }
-    for name, value in values.items():
-        prim.GetAttribute(f"inputs:spectral:{name}").Set(value)
-    write_layer(stage, path)
-
-
 def main() -> None:
-    """Write the maps and the layer."""
+    """Write the maps and the layers."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--height", type=int, default=512, help="rows of the map")
+    parser.add_argument("--layers", action="store_true", help="keep room.exr as it is")
     parser.add_argument("-o", "--output", type=Path, default=FOLDER, help="folder to write to")
     given = parser.parse_args()
-    room, spectra = rounded(coefficients(given.height)), basis()
-    channels = {f"c{k}": room[..., k] for k in range(6)}
-    write_exr(given.output / "room.exr", [Part("light", channels, {}, "half")], "zip:9")
-    to_rgb = spectra @ xyz_weights(WAVELENGTH_NM, absolute=True) @ xyz_to_rgb("lin_rec709_scene").T
-    half = room.reshape(given.height // 2, 2, given.height, 2, 6).mean(axis=(1, 3))
-    rgb = rounded(np.maximum(half @ to_rgb, 0.0))
-    part = Part("", {"": rgb}, {}, "half", "lin_rec709_scene")
-    write_exr(given.output / "room_rgb.exr", [part], "zip:9")
+    names, spectra = [f"c{k}" for k in range(6)], basis()
+    if given.layers:
+        room = read_image(given.output / "room.exr", channels=names).pixels
+    else:
+        room = rounded(coefficients(given.height))
+        channels = {name: room[..., k] for k, name in enumerate(names)}
+        write_exr(given.output / "room.exr", [Part("light", channels, {}, "half")], "zip:9")
+    write_rgb(given.output / "room_rgb.exr", rendition(room, spectra))
     write_stage(given.output / "room.usda", spectra)
+    for name, lamp in ALONE.items():
+        lit = alone(spectra, lamp)
+        write_rgb(given.output / f"{name}_rgb.exr", rendition(room, lit, smaller=4))
+        write_stage_alone(given.output / f"{name}.usda", spectra, lamp)
 
 
 if __name__ == "__main__":

@@ -9,13 +9,21 @@ import click
 
 from usdskin.commands.options import StepCommand
 from usdskin.commands.reporter import GlobalOptions, Reporter
+from usdskin.errors import UsageError
 
 if TYPE_CHECKING:
+    from usdskin.judge.charts import ChartSetup
     from usdskin.judge.sensor import Exposures, Sensor
     from usdskin.notes import Note
     from usdskin.prims import FisheyeLens
 
 _PATH = click.Path(path_type=Path)
+
+_OF_A_CAMERA = (
+    *("lens", "projection", "fov", "size", "vignetting", "glare"),
+    *("full_well", "read_noise", "middle", "sensor_constant"),
+)
+"""Options that --same-camera stands for."""
 
 
 def _seconds(value: str) -> float:
@@ -117,42 +125,98 @@ def _numbers(value: str) -> tuple[float, ...]:
 @click.option(
     "--truth-height", type=int, help="Rows of truth.exr.  [default: the light's, least 256]"
 )
+@click.option(
+    "--same-camera",
+    type=_PATH,
+    metavar="SHOOT_DIR",
+    help="Go on with the lens and sensor of an earlier shoot.",
+)
+@click.option("--chart", metavar="classic24|FILE", help="Photograph and measure a color chart too.")
+@click.option("--chart-only", is_flag=True, help="Photograph nothing but the chart.")
+@click.option(
+    "--chart-facing",
+    type=_numbers,
+    metavar="X,Y,Z",
+    help="Where the chart faces, in the world.  [default: where it is brightest]",
+)
+@click.option("--light-class", metavar="NAME", help="Class of the chart's light.  [default: light]")
 @click.option("--seed", type=click.IntRange(min=0), help="Of everything random.  [default: 0]")
 @click.pass_obj
 def photograph(options: GlobalOptions, /, environment: Path, output: Path, **given: Any) -> None:
     r"""Photograph ENV, a stage with lights or a latlong picture, with a virtual fisheye camera.
 
     DIR gets what a real shoot would give, shoot.usda and a folder of photographs per view, and
-    truth/, what the camera was not told: the true panorama, lens and rotations.
+    truth/, what the camera was not told: the true panorama, lens and rotations. With --chart it
+    also gets chart.usda, for `usdskin calibrate camera`: a color chart in the same light, its
+    photographs and its spectra.
 
     \b
     Examples:
         usdskin photograph stages/capture_room/room.usda -o shoot
         usdskin photograph hall.hdr --illuminant FL2 -o shoot --views 3+zenith --glare 0.01
+        usdskin photograph stages/capture_room/tubes.usda -o tubes --same-camera shoot \\
+            --chart classic24 --chart-only --light-class tubes
     """
     with Reporter(options) as reporter:
         from usdskin.capture.viewpoints import parse_directions
+        from usdskin.judge.charts import photograph_chart, with_camera_of
         from usdskin.judge.photographer import photograph as take
         from usdskin.judge.setups import Setup
 
-        setup = {
+        same_camera, chart, chart_only = _same_camera(given), _chart(given), given.pop("chart_only")
+        if chart_only and chart is None:
+            raise UsageError("--chart-only: there is no chart; add --chart classic24 or a file")
+        values = {
             "lens": _lens(given),
             "views": parse_directions(given.pop("views")),
             "exposures": _exposures(given),
             "sensor": _sensor(given),
             **{name: value for name, value in given.items() if value is not None},
         }
+        setup = Setup(**values)
+        if same_camera is not None:
+            setup = with_camera_of(same_camera, setup)
         notes: list[Note] = []
-        written = take(
-            environment,
-            output,
-            Setup(**setup),
-            threads=options.threads,
-            progress=reporter.progress(),
-            notes=notes,
-        )
+        work: dict[str, Any] = {
+            "threads": options.threads,
+            "progress": reporter.progress(),
+            "notes": notes,
+        }
+        if chart is None:
+            written = [take(environment, output, setup, **work)]
+        else:
+            made = photograph_chart(
+                environment, output, setup, chart, with_views=not chart_only, **work
+            )
+            written = [made] if chart_only else [made.with_name("shoot.usda"), made]
         reporter.notes(notes)
-        reporter.wrote([written])
+        reporter.wrote(written)
+
+
+def _same_camera(given: dict[str, Any]) -> Path | None:
+    """Return the folder of --same-camera, beside which no option may say otherwise."""
+    folder: Path | None = given.pop("same_camera")
+    context = click.get_current_context()
+    for name in _OF_A_CAMERA if folder is not None else ():
+        if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
+            option = "--" + name.replace("_", "-")
+            raise UsageError(f"{option}: --same-camera says it already; leave one of them out")
+    return folder
+
+
+def _chart(given: dict[str, Any]) -> ChartSetup | None:
+    from usdskin.judge.charts import ChartSetup
+
+    names = {"chart": "chart", "chart_facing": "facing", "light_class": "light_class"}
+    said = {field: given.pop(name) for name, field in names.items()}
+    said = {field: value for field, value in said.items() if value is not None}
+    if "chart" not in said:
+        if said:
+            raise UsageError("--chart-facing and --light-class belong to a chart; add --chart")
+        return None
+    if len(said.get("facing", (0, 0, 0))) != 3:
+        raise UsageError("--chart-facing: not three numbers; give a direction such as 0,1,0")
+    return ChartSetup(**said)
 
 
 def _lens(given: dict[str, Any]) -> FisheyeLens:

@@ -202,20 +202,14 @@ def read_environment(
         UsageError: The illuminant cannot be used.
     """
     notes = [] if notes is None else notes
-    path = Path(source)
-    is_stage = path.suffix.lower() in _STAGE_SUFFIXES or str(source).endswith("]")
-    stage = open_stage(source, notes) if is_stage else _stage_of_picture(path)
     nm = camera.wavelength_nm
-    start = Usd.TimeCode(stage.GetStartTimeCode())
-    time = start if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.Default()
-    lights = read_lights(stage, time, nm, illuminant=illuminant, bad_pixels=bad_pixels, notes=notes)
+    lights, up_axis = read_spectral_lights(source, nm, illuminant, bad_pixels, notes)
     weights = np.column_stack(
         [
             camera.value * band_widths(nm)[:, None],
             xyz_weights(nm, absolute=lights.absolute)[:, 1],
         ]
     )
-    up_axis = str(UsdGeom.GetStageUpAxis(stage))
     found = _responses(lights, weights, str(source), up_axis, notes)
     mean = found.mean()
     if not (np.isfinite(mean).all() and mean[1] > 0.0):
@@ -224,6 +218,38 @@ def read_environment(
     if unit == 1.0:
         return found
     return _responses(lights, weights * [1.0, 1.0, 1.0, unit], str(source), up_axis, [], unit)
+
+
+def read_spectral_lights(
+    source: str | Path,
+    wavelength_nm: FloatArray,
+    illuminant: str | None,
+    bad_pixels: BadPixels,
+    notes: list[Note],
+) -> tuple[Lights, str]:
+    """Return the lights of an environment with their spectra, and its up axis.
+
+    Args:
+        source: A stage with lights, or a latlong picture (EXR, HDR).
+        wavelength_nm: Band centres [nm], shape [band_count].
+        illuminant: As ``read_environment`` takes it.
+        bad_pixels: As ``read_environment`` takes it.
+        notes: Takes what could not be honoured.
+
+    Raises:
+        LayerError: The stage cannot be read.
+        ImageError: A map cannot be read.
+        UsageError: The illuminant cannot be used.
+    """
+    path = Path(source)
+    is_stage = path.suffix.lower() in _STAGE_SUFFIXES or str(source).endswith("]")
+    stage = open_stage(source, notes) if is_stage else _stage_of_picture(path)
+    start = Usd.TimeCode(stage.GetStartTimeCode())
+    time = start if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.Default()
+    lights = read_lights(
+        stage, time, wavelength_nm, illuminant=illuminant, bad_pixels=bad_pixels, notes=notes
+    )
+    return lights, str(UsdGeom.GetStageUpAxis(stage))
 
 
 def _stage_of_picture(path: Path) -> Usd.Stage:

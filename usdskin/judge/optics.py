@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.device import Workers
 from usdskin.errors import UsageError
-from usdskin.judge.environments import Environment, pixel_shifts
+from usdskin.judge.environments import pixel_shifts
 from usdskin.prims import FisheyeLens
 
 FloatArray = NDArray[np.float64]
@@ -132,6 +133,23 @@ def pixel_angles(lens: FisheyeLens, begin: int, end: int) -> FloatArray:
     return inverse_projection(lens)(np.hypot(x[None, :], y[:, None]))
 
 
+class Scene(Protocol):
+    """What a lens can draw: an ``Environment``, or something before it."""
+
+    @property
+    def detail(self) -> float:
+        """Size of the smallest thing to be seen [rad]."""
+        ...
+
+    def look(self, directions: FloatArray, world_from: FloatArray) -> FloatArray:
+        """Return the responses seen in directions, R, G and B first, shape [..., channels]."""
+        ...
+
+    def mean(self) -> FloatArray:
+        """Return the mean response over the sphere, shape [channels]."""
+        ...
+
+
 class Picture:
     """What a lens draws of an environment: its light on every pixel, averaged over the pixel.
 
@@ -139,11 +157,11 @@ class Picture:
     for; four to sixteen times as many each way where the edge of a lamp crosses it.
     """
 
-    def __init__(self, environment: Environment, lens: FisheyeLens, rotation: FloatArray) -> None:
+    def __init__(self, environment: Scene, lens: FisheyeLens, rotation: FloatArray) -> None:
         """Take a lens at one orientation.
 
         Args:
-            environment: The light.
+            environment: What is seen.
             lens: The lens.
             rotation: From the camera (looks along -Z, +Y up) to the world, shape [3, 3].
         """

@@ -76,23 +76,17 @@ def photograph(
     output, environment = Path(output), Path(environment)
     progress = progress or SilentProgress()
     workers = Workers("cpu", threads or os.cpu_count() or 1)
-    with _new_folder(output) as folder:
+    with new_folder(output) as folder:
         try:
-            shooting = _plan(environment, setup, [] if notes is None else notes)
-            _shoot(shooting, setup, folder, workers, progress)
-            rows = setup.truth_height or max(shooting.light.rows, _LEAST_TRUTH_ROWS)
-            progress.start(rows, "truth")
-            seen = panorama(shooting.light, rows, workers, progress.advance)
-            values = seen[..., :3] * shooting.constant
-            write_truth(folder / "truth", shooting, setup, values, output / "truth")
-            write_shoot(folder / "shoot.usda", shooting, setup, output)
+            shooting = plan(environment, setup, [] if notes is None else notes)
+            shoot(shooting, setup, folder, output, workers, progress)
         finally:
             progress.done()
     return output / "shoot.usda"
 
 
 @contextmanager
-def _new_folder(output: Path) -> Iterator[Path]:
+def new_folder(output: Path) -> Iterator[Path]:
     """Give a folder that takes the name of ``output`` when the block ends well."""
     if output.exists() and not (output.is_dir() and not any(output.iterdir())):
         raise UsageError(f"{output}: is there already; name a folder that is new or empty")
@@ -110,7 +104,14 @@ def _new_folder(output: Path) -> Iterator[Path]:
             shutil.rmtree(made, ignore_errors=True)
 
 
-def _plan(environment: Path, setup: Setup, notes: list[Note]) -> Shooting:
+def plan(environment: Path, setup: Setup, notes: list[Note]) -> Shooting:
+    """Return the light of an environment, and how the camera stands in it.
+
+    Raises:
+        LayerError: The stage cannot be read.
+        ImageError: A picture cannot be read.
+        UsageError: There is no such camera or illuminant.
+    """
     camera = read_sensitivity(setup.camera)
     light = read_environment(
         environment, camera, setup.illuminant, setup.mean_luminance, setup.bad_pixels, notes
@@ -129,7 +130,34 @@ def _plan(environment: Path, setup: Setup, notes: list[Note]) -> Shooting:
     )
 
 
-def _shoot(
+def shoot(
+    shooting: Shooting,
+    setup: Setup,
+    folder: Path,
+    final: Path,
+    workers: Workers,
+    progress: Progress,
+) -> None:
+    """Write the views of a shoot, its layer and the truth about it.
+
+    Args:
+        shooting: What is photographed, as ``plan`` gives it.
+        setup: How.
+        folder: Folder to write to.
+        final: Where the folder is going to lie in the end.
+        workers: Threads to compute with.
+        progress: Told how far the work is.
+    """
+    _photograph_views(shooting, setup, folder, workers, progress)
+    rows = setup.truth_height or max(shooting.light.rows, _LEAST_TRUTH_ROWS)
+    progress.start(rows, "truth")
+    seen = panorama(shooting.light, rows, workers, progress.advance)
+    values = seen[..., :3] * shooting.constant
+    write_truth(folder / "truth", shooting, setup, values, final / "truth")
+    write_shoot(folder / "shoot.usda", shooting, setup, final)
+
+
+def _photograph_views(
     shooting: Shooting, setup: Setup, folder: Path, workers: Workers, progress: Progress
 ) -> None:
     for view, name in enumerate(shooting.names):
@@ -143,7 +171,7 @@ def _shoot(
         def take(begin: int, end: int, view: int = view, image: FloatImage = image) -> None:
             for shot in range(begin, end):
                 path = folder / photograph_name(setup, view, shot)
-                _take(image, setup, path, shooting.camera, view, shot)
+                take_photograph(image, setup, path, shooting.camera, view, shot)
 
         count = setup.exposures_of(view).time_s.size
         progress.start(count, f"{name}: photographs")
@@ -172,8 +200,19 @@ def add_glare(image: FloatImage, lens: FisheyeLens) -> None:
     image += (lens.glare * total / max(count, 1)).astype(np.float32)
 
 
-def _take(image: FloatImage, setup: Setup, path: Path, camera: str, view: int, shot: int) -> None:
-    """Write one photograph of a view; its noise depends on seed, view, shot and row alone."""
+def take_photograph(
+    image: FloatImage, setup: Setup, path: Path, camera: str, view: int, shot: int
+) -> None:
+    """Write one photograph of a view; its noise depends on seed, view, shot and row alone.
+
+    Args:
+        image: rho V with glare, shape [height, width, 3].
+        setup: How it is taken.
+        path: File to write.
+        camera: Make and model.
+        view: Index of the view.
+        shot: Index of the photograph in its bracket.
+    """
     exposure = np.float32(setup.true_exposure(view)[shot])
     iso = float(setup.exposures_of(view).iso[shot])
 

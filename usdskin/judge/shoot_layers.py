@@ -6,6 +6,7 @@ Writes: ``shoot.usda``, as ``usdskin ingest`` would from real photographs; ``tru
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -100,14 +101,16 @@ def write_shoot(path: Path, shooting: Shooting, setup: Setup, folder: Path) -> N
     Raises:
         LayerError: The layer cannot be written.
     """
-    stage = _new_stage(shooting.light.up_axis)
+    stage = new_stage(shooting.light.up_axis)
     prim = UsdGeom.Xform.Define(stage, "/Shoot").GetPrim()
     stage.SetDefaultPrim(prim)
     write_schema(prim, "CaptureAPI", _session(shooting, setup))
     for index, name in enumerate(shooting.names):
         camera = UsdGeom.Camera.Define(stage, f"/Shoot/{name}").GetPrim()
         write_lens(camera, setup.stated_lens)
-        write_bracket(camera, _bracket(setup, path.parent, index), path.parent)
+        count = setup.exposures_of(index).time_s.size
+        images = [path.parent / photograph_name(setup, index, shot) for shot in range(count)]
+        write_bracket(camera, stated_bracket(setup, images, index), path.parent)
         write_rotation(camera, shooting.stated_rotations[index])
     settings: dict[str, SettingValue] = {
         "camera": setup.camera,
@@ -118,7 +121,12 @@ def write_shoot(path: Path, shooting: Shooting, setup: Setup, folder: Path) -> N
     write_layer(stage, path)
 
 
-def _new_stage(up_axis: str) -> Usd.Stage:
+def new_stage(up_axis: str) -> Usd.Stage:
+    """Return an empty stage in memory, in metres.
+
+    Args:
+        up_axis: ``Y`` or ``Z``.
+    """
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z if up_axis == "Z" else UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -221,15 +229,21 @@ def luminance_weights(light: Environment) -> FloatArray:
     return np.asarray(best / best.sum())
 
 
-def _bracket(setup: Setup, folder: Path, view: int) -> ExposureBracket:
+def stated_bracket(setup: Setup, images: Sequence[Path], view: int) -> ExposureBracket:
+    """Return the bracket of a view as the photographer states it.
+
+    Args:
+        setup: How it was taken.
+        images: Its photographs.
+        view: Index of the view.
+    """
     exposures, development = setup.exposures_of(view), setup.development
-    count = exposures.time_s.size
     black, white = development.levels
     noise = setup.states_noise and not development.is_developed
     per_sample = (white - black) / (setup.sensor.white_level - setup.sensor.black_level)
     gain = np.array([setup.sensor.gain(iso) for iso in exposures.iso]) / per_sample
     return ExposureBracket(
-        images=tuple(folder / photograph_name(setup, view, shot) for shot in range(count)),
+        images=tuple(images),
         exposure_time_s=exposures.time_s,
         iso=exposures.iso,
         f_number=exposures.f_number,
@@ -264,7 +278,7 @@ def write_truth(
     pixels = values.astype(np.float32)
     channels = {name: pixels[..., index] for index, name in enumerate("RGB")}
     write_exr(folder / "truth.exr", [Part("", channels)])
-    stage = _new_stage(shooting.light.up_axis)
+    stage = new_stage(shooting.light.up_axis)
     prim = UsdGeom.Xform.Define(stage, "/Truth").GetPrim()
     stage.SetDefaultPrim(prim)
     up = shooting.light.panorama_from_world[1]

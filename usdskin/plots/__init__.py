@@ -1,1 +1,1 @@
-"""Figures of calibrations and lights."""
+"""Draw what the steps have written, for print and screen."""

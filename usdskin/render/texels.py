@@ -97,9 +97,11 @@ def mend_low_rank(
 ) -> tuple[FloatArray, NDArray[np.float64]]:
     """Find texels of a factorised map that are not finite or whose spectra are negative.
 
-    Coefficients may be negative, spectra may not. Clamping is exact: bad spectra are cut off at 0
-    band by band, and what that adds to them is factorised and appended to the basis. A texel that
-    is not finite becomes black.
+    Coefficients may be negative, light may not: a texel whose bands sum to less than 0 is bad. A
+    spectrum that dips below 0 here and there, as linearly recovered ones do, is noted only: cutting
+    the dips off would shift its colour. Clamping is exact: spectra are cut off at 0 band by band,
+    dips too, and what that adds to them is factorised and appended to the basis. A texel that is
+    not finite becomes black.
 
     Args:
         coefficients: Weights of the basis, shape [height, width, rank].
@@ -121,10 +123,13 @@ def mend_low_rank(
     infinite = np.asarray(np.isinf(rows).any(axis=-1), dtype=bool) & ~nan
     if nan.any() or infinite.any():
         rows = np.where((nan | infinite)[:, None], np.float32(0.0), rows)
-    worst = _lowest_radiance(rows, basis)
-    negative = worst < 0.0
+    worst, dark = _lowest_radiance(rows, basis)
+    dips = worst < 0.0
+    negative = dips if bad_pixels == "clamp" else dark
     bad = negative | nan | infinite
     if not bad.any():
+        if dips.any():
+            notes.append(_dip_note(rows, basis, worst, shape, path))
         return coefficients, basis
     kinds = [mask.reshape(shape) for mask in (negative, nan, infinite)]
     report = _report(worst.reshape(shape), kinds)
@@ -146,18 +151,49 @@ def _chunks(count: int) -> Iterator[slice]:
         yield slice(start, min(start + _CHUNK_ROWS, count))
 
 
-def _lowest_radiance(rows: FloatArray, basis: NDArray[np.float64]) -> FloatArray:
-    """Return each texel's lowest radiance where it is negative beyond rounding, else 0."""
+def _dip_note(
+    rows: FloatArray,
+    basis: NDArray[np.float64],
+    worst: FloatArray,
+    shape: tuple[int, int],
+    path: str,
+) -> Note:
+    """Tell how many spectra dip below 0, and how much of the light that is."""
+    below = above = 0.0
+    for chunk in _chunks(rows.shape[0]):
+        spectra = rows[chunk] @ basis.astype(np.float32)
+        negative = float(np.minimum(spectra, 0.0).sum(dtype=np.float64))
+        below -= negative
+        above += float(spectra.sum(dtype=np.float64)) - negative
+    y, x = np.unravel_index(int(np.argmin(worst)), shape)
+    return Note(
+        "spectra-dip",
+        path,
+        f"the spectra of {int(np.count_nonzero(worst))} of {worst.size} pixels dip below zero, "
+        f"{below / above:.2%} of the energy, deepest at x {x}, y {y}; they are used as they are",
+    )
+
+
+def _lowest_radiance(
+    rows: FloatArray, basis: NDArray[np.float64]
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return each texel's lowest radiance where it is negative beyond rounding, else 0.
+
+    The second result tells which texels have less than no energy.
+    """
     spectra = basis.astype(np.float32)
     size = np.abs(spectra).max(axis=1)
     worst = np.zeros(rows.shape[0], dtype=np.float32)
+    dark = np.zeros(rows.shape[0], dtype=bool)
     if rows.min(initial=0.0) >= 0.0 and spectra.min(initial=0.0) >= 0.0:
-        return worst
+        return worst, dark
     for chunk in _chunks(rows.shape[0]):
-        lowest = (rows[chunk] @ spectra).min(axis=1)
+        radiance = rows[chunk] @ spectra
+        lowest = radiance.min(axis=1)
         allowance = _ROUNDING * (np.abs(rows[chunk]) @ size)
         worst[chunk] = np.where(lowest < -allowance, lowest, 0.0)
-    return worst
+        dark[chunk] = radiance.sum(axis=1) < -allowance
+    return worst, dark
 
 
 def _without_negatives(

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from usdskin.commands.options import StepCommand, with_paragraph_marks
+from usdskin.commands.options import StepCommand, names, with_paragraph_marks
 from usdskin.commands.reporter import GlobalOptions, Reporter
 from usdskin.errors import UsageError
 
@@ -19,6 +19,7 @@ _HELP = r"""Measure camera and lens.
 \b
 Example:
     usdskin calibrate lens board/*.png --board charuco:7x5 -o lens.usda
+    usdskin calibrate camera chart.usda -o camera.usda
 """
 
 
@@ -176,6 +177,101 @@ def _import(
     )
     reporter.notes(notes)
     reporter.wrote([written])
+
+
+def _corners(value: str) -> tuple[float, ...]:
+    """Return the eight numbers of four corners [px]."""
+    try:
+        numbers = tuple(float(part) for part in value.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != 8 or not all(abs(number) < 1e6 for number in numbers):
+        raise click.BadParameter(f"{value!r} is not x,y of four corners, such as 10,10,90,10,...")
+    return numbers
+
+
+@calibrate.command("camera", cls=StepCommand)
+@click.argument("charts", metavar="CHART.usda...", type=_PATH, nargs=-1, required=True)
+@click.option("-o", "--output", type=_PATH, required=True, metavar="CAMERA.usda", help="To write.")
+@click.option(
+    "--estimator",
+    type=click.Choice(["regression", "literal", "tsvd", "pca", "wiener", "smooth"]),
+    default="regression",
+    show_default=True,
+    help="How camera values become spectra; literal is the paper's formula as printed.",
+)
+@click.option(
+    "--corners",
+    type=_corners,
+    metavar="X,Y,X,Y,X,Y,X,Y",
+    help="Corners of the patches in the picture [px]: top left, top right, bottom right, bottom "
+    "left.  [default: chart:corners, or found in the picture]",
+)
+@click.option(
+    "--exclude",
+    "excluded",
+    type=names,
+    metavar="PATCH,...",
+    help="Patches to leave out.",
+)
+@click.option(
+    "--plot",
+    type=_PATH,
+    metavar="FIGURE",
+    help="Draw the calibration: SVG, PDF or PNG (matplotlib).",
+)
+@click.pass_obj
+def camera(
+    options: GlobalOptions,
+    /,
+    charts: tuple[Path, ...],
+    output: Path,
+    plot: Path | None,
+    corners: tuple[float, ...] | None,
+    excluded: tuple[str, ...] | None,
+    estimator: str,
+) -> None:
+    r"""Calibrate a camera against the spectra of a color chart.
+
+    CHART.usda holds camera values or a photograph of the patches (ColorChartAPI), and their
+    radiance from a spectrophotometer, or reflectances and the lamp. Give one chart for each kind of
+    lamp the scene has. CAMERA.usda stands alone: it is all that `usdskin estimate light` needs.
+
+    \b
+    Examples:
+        usdskin calibrate camera chart.usda -o camera.usda --plot camera.svg
+        usdskin calibrate camera tubes.usda window.usda -o camera.usda
+    """
+    with Reporter(options) as reporter:
+        import numpy as np
+
+        from usdskin.estimate.calibrate import CalibrationOptions, calibrate_camera
+        from usdskin.estimate.calibration_report import report_of
+
+        result = calibrate_camera(
+            charts,
+            output,
+            CalibrationOptions(
+                estimator=estimator,
+                excluded=excluded or (),
+                corners=None if corners is None else np.reshape(corners, (4, 2)),
+                device=options.device,
+                threads=options.threads,
+            ),
+            reporter.progress(),
+        )
+        reporter.notes(result.notes)
+        reporter.seconds(result.seconds)
+        report = report_of(result)
+        reporter.event("calibration", **report.as_dict())
+        if not reporter.json and not reporter.quiet:
+            for line in report.lines():
+                click.echo(line, err=True)
+        reporter.wrote([result.path])
+        if plot is not None:
+            from usdskin.plots.step import plot_file
+
+            reporter.wrote([plot_file(result.path, plot)])
 
 
 COMMANDS: tuple[click.Command, ...] = (calibrate,)

@@ -1,0 +1,148 @@
+"""Estimate the spectral light of a captured place.
+
+Reads:  ``capture.usda`` (``CaptureAPI``) with its panorama, and ``camera.usda``
+        (``SpectralCameraAPI`` with a ``SpectralRecoveryAPI`` for each class of light).
+Writes: ``light.usda``, a DomeLight with ``SpectralLightAPI``, and its pictures beside it.
+
+The basis form needs no spectrum of any texel: coefficients are the panorama's own channels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from usdskin.estimate.light.agreement import check_agreement
+from usdskin.estimate.light.captured import Mixture, captured_map, find_mixture
+from usdskin.estimate.light.layer import Background, check_output
+from usdskin.estimate.light.light_map import LightMap
+from usdskin.estimate.light.maps import Form, map_files
+from usdskin.estimate.light.publish import Clock, LightResult, publish_light
+from usdskin.estimate.light.scale import LightScale, find_scale, readings_of
+from usdskin.estimate.light.totals import add_up
+from usdskin.layers import open_stage
+from usdskin.notes import Note
+from usdskin.prims import (
+    SpectralCamera,
+    read_captured_panorama,
+    read_spectral_camera,
+)
+from usdskin.progress import Progress, SilentProgress
+
+# isort: split
+from pxr import Usd
+
+
+@dataclass(frozen=True, slots=True)
+class LightOptions:
+    """What the step is told."""
+
+    light_class: str | None = None
+    """The only class of light in the place; None: all that the camera was calibrated for."""
+
+    class_map: Path | None = None
+    """Picture that says which class lights which direction; None: estimated."""
+
+    form: Form = "basis"
+    """``basis``, or ``bands`` for a map with all spectra written out."""
+
+
+def estimate_light(
+    capture: str | Path,
+    camera: str | Path,
+    output: str | Path,
+    options: LightOptions | None = None,
+    progress: Progress | None = None,
+) -> LightResult:
+    """Write the spectral light of one capture.
+
+    Args:
+        capture: Layer written by the capture step. It is read, never changed.
+        camera: Layer written by the calibration. It is read, never changed.
+        output: Layer to write; its pictures are written beside it.
+        options: What is asked for.
+        progress: Told how far the work is.
+
+    Returns:
+        The files, complete on disk, the report and the notes.
+
+    Raises:
+        LayerError: A layer lacks something, or capture and calibration do not fit each other.
+        ImageError: A picture cannot be read or written.
+        UsageError: An option does not fit the calibration, or an output is an input.
+    """
+    options = options or LightOptions()
+    progress = progress or SilentProgress()
+    output, clock, notes = Path(output), Clock(), list[Note]()
+    stages = open_stage(capture, notes), open_stage(camera, notes)
+    captured, calibrated = read_captured_panorama(stages[0]), read_spectral_camera(stages[1])
+    readings = readings_of(captured)
+    is_read = readings.spot is not None or readings.facing is not None
+    check_agreement(captured, calibrated, is_read, notes)
+    inputs = [*_layers(stages[0]), *_layers(stages[1]), captured.panorama_file]
+    inputs += [path for path in (captured.stddev_file, options.class_map) if path is not None]
+    is_mixed = options.light_class is None and len(calibrated.recoveries) > 1
+    files = map_files(output, options.form, is_mixed)
+    check_output(output, files, inputs)
+    with clock("classes"):
+        mixture = find_mixture(captured, calibrated, options.light_class, options.class_map, notes)
+    is_absolute = is_read or calibrated.units == "absolute"
+    darkened: dict[int, int] = {}
+    unscaled = captured_map(captured, calibrated, mixture, is_absolute, darkened)
+    with clock("measure"):
+        totals = add_up(unscaled, readings, progress)
+    _note_darkened(captured.where, sum(darkened.values()), unscaled, notes)
+    scale = find_scale(captured, totals, unscaled.xyz[:, 1], calibrated.units == "absolute", notes)
+    background = Background(
+        origin="measured",
+        documentation=_documentation(calibrated, mixture, scale),
+        inputs=inputs,
+        settings=_settings(options),
+        up_axis=captured.up_axis,
+        recoveries=mixture.recoveries,
+        weights=mixture.weights,
+        scale=scale,
+        clipped_share=captured.clipped_share,
+    )
+    light = replace(unscaled, basis=unscaled.basis * scale.factor)
+    paths, report = publish_light(
+        light, totals, background, options.form, files, output, progress, clock
+    )
+    return LightResult(paths, report, notes, clock.seconds)
+
+
+def _note_darkened(where: str, count: int, light: LightMap, notes: list[Note]) -> None:
+    if count:
+        notes.append(
+            Note(
+                "texels-darkened",
+                where,
+                f"the camera values of {count} of {light.height * light.width} texels are those of "
+                "no light in this calibration; they were made black",
+            )
+        )
+
+
+def _layers(stage: Usd.Stage) -> list[Path]:
+    return [Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath]
+
+
+def _documentation(camera: SpectralCamera, mixture: Mixture, scale: LightScale) -> str:
+    estimators = ", ".join(sorted({recovery.estimator for recovery in mixture.recoveries}))
+    text = (
+        f"Spectral light of a captured place, recovered ({estimators}) from camera values by a "
+        f"calibration of {camera.model or 'the camera'}. Lamps: {', '.join(mixture.names)}."
+    )
+    if scale.source != "calibration":
+        text += f" Scaled to a reading of {scale.source}."
+    return text
+
+
+def _settings(options: LightOptions) -> dict[str, Any]:
+    given = {
+        "class": options.light_class,
+        "classMap": None if options.class_map is None else options.class_map.name,
+        "as": options.form,
+    }
+    return {name: value for name, value in given.items() if value is not None}
