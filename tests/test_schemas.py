@@ -192,6 +192,15 @@ ATTRIBUTES: dict[str, dict[str, tuple[str, object]]] = {
         "samples:normal": ("vector3f[]", None),
         "samples:thetaI": ("double[]", None),
         "samples:thetaR": ("double[]", None),
+        "samples:azimuth": ("double[]", None),
+        "samples:values:file": ("asset", None),
+        "samples:quantity": ("token", "reflectanceFactor"),
+        "samples:white": ("double[]", None),
+        "samples:thickness": ("double[]", None),
+        "samples:saturation": ("double", 0.0),
+        "samples:lightClass": ("token", ""),
+        "samples:reflectance:file": ("asset", None),
+        "samples:reflectance:specularIncluded": ("bool", False),
         "samples:values": ("double[]", None),
         "samples:wavelengths": ("double[]", None),
         "samples:mask": ("bool[]", None),
@@ -241,7 +250,7 @@ ATTRIBUTES: dict[str, dict[str, tuple[str, object]]] = {
 RELATIONSHIPS = {
     "CaptureAPI": {"capture:views"},
     "ColorChartAPI": {"chart:view"},
-    "SkinSampleAPI": {"samples:camera", "samples:lights"},
+    "SkinSampleAPI": {"samples:camera", "samples:lights", "samples:views"},
 }
 
 TOKENS = {
@@ -261,6 +270,7 @@ TOKENS = {
     "chart:layout": ["", "classic24", "sg140"],
     "chart:units": ["absolute", "relative"],
     "estimate:origin": ["measured", "assigned"],
+    "samples:quantity": ["reflectanceFactor", "radiance", "cameraValues"],
     "spectral:units": ["absolute", "relative"],
     "bracket:transfer": ["auto", "linear", "recovered"],
     "inputs:skin:wrapNormalization": ["paper", "energy"],
@@ -324,6 +334,7 @@ LIMITS = {
     "inputs:skin:oxygenation": UNIT_INTERVAL,
     "inputs:skin:epidermisThickness": NOT_NEGATIVE,
     "fit:residual": NOT_NEGATIVE,
+    "samples:saturation": NOT_NEGATIVE,
     "usdskin:samplesPerPixel": (1, None),
     "usdskin:targetError": NOT_NEGATIVE,
     "usdskin:seed": NOT_NEGATIVE,

@@ -16,10 +16,12 @@ from usdskin.prims.captures import (
     ExposureBracket,
     FisheyeLens,
     Shoot,
+    Shot,
     View,
     read_bracket,
     read_lens,
     read_shoot,
+    read_shot,
     read_view,
     write_bracket,
     write_lens,
@@ -34,6 +36,12 @@ from usdskin.prims.charts import (
 from usdskin.prims.estimates import LightEstimate, read_light_estimate, write_light_estimate
 from usdskin.prims.lights import SpectralLight, read_spectral_light, write_spectral_light
 from usdskin.prims.panoramas import CapturedPanorama, read_captured_panorama
+from usdskin.prims.samples import (
+    SampleLight,
+    SkinSamples,
+    read_skin_samples,
+    write_skin_samples,
+)
 from usdskin.prims.settings import SkinRenderSettings, read_render_settings_api
 from usdskin.prims.skin import SkinParameters, read_skin, write_skin
 from usdskin.prims.spectra import read_spectrum, write_spectrum
@@ -45,9 +53,12 @@ __all__ = [
     "FisheyeLens",
     "LightEstimate",
     "Recovery",
+    "SampleLight",
     "Shoot",
+    "Shot",
     "SkinParameters",
     "SkinRenderSettings",
+    "SkinSamples",
     "SpectralCamera",
     "SpectralLight",
     "View",
@@ -61,7 +72,9 @@ __all__ = [
     "read_light_estimate",
     "read_render_settings_api",
     "read_shoot",
+    "read_shot",
     "read_skin",
+    "read_skin_samples",
     "read_spectral_camera",
     "read_spectral_light",
     "read_spectrum",
@@ -72,6 +85,7 @@ __all__ = [
     "write_light_estimate",
     "write_rotation",
     "write_skin",
+    "write_skin_samples",
     "write_spectral_camera",
     "write_spectral_light",
     "write_spectrum",

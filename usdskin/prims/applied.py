@@ -23,6 +23,7 @@ _NAMESPACES = {
     "estimate:": "LightEstimateAPI",
     "fisheye:": "FisheyeCameraAPI",
     "inputs:skin:": "SkinMaterialAPI",
+    "samples:": "SkinSampleAPI",
     "inputs:spectral:": "SpectralLightAPI",
     "usdskin:": "SkinRenderSettingsAPI",
 }
@@ -33,6 +34,7 @@ SPECTRUM_INSTANCES = {
     "SpectralLightAPI": ("emission",),
     "LightEstimateAPI": ("mean",),
     "ColorChartAPI": ("illuminant",),
+    "SkinSampleAPI": ("reflectance",),
 }
 """Instances of SpectralDistributionAPI that a schema reads."""
 

@@ -161,7 +161,15 @@ def read_spectral_camera(stage: Usd.Stage) -> SpectralCamera:
         LayerError: There is no such Camera or several, it lacks wavelengths, responsivity or
             recoveries, or an opinion cannot be used.
     """
-    prim = _camera_prim(stage)
+    return spectral_camera(_camera_prim(stage))
+
+
+def spectral_camera(prim: Usd.Prim) -> SpectralCamera:
+    """Return the calibration of a Camera with ``SpectralCameraAPI``.
+
+    Raises:
+        LayerError: It lacks wavelengths, responsivity or recoveries, or an opinion cannot be used.
+    """
     check_applied_schemas(prim)
     values = read_schema(prim, "SpectralCameraAPI", DEFAULT_TIME)
     for name in ("spectral:wavelengths", "spectral:responsivity"):

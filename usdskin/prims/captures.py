@@ -104,6 +104,20 @@ class ExposureBracket:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """Photographs by a camera whose projection does not matter."""
+
+    name: str
+    """Name of the prim."""
+
+    where: str
+    """``layer.usda </Prim/path>``, for errors."""
+
+    bracket: ExposureBracket
+    """The photographs."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class View:
     """A camera of a shoot, at one orientation."""
 
@@ -279,6 +293,16 @@ def read_view(prim: Usd.Prim) -> View:
         bracket=read_bracket(prim),
         rotation=_rotation(prim),
     )
+
+
+def read_shot(prim: Usd.Prim) -> Shot:
+    """Return the photographs of a camera.
+
+    Raises:
+        LayerError: An opinion is missing or cannot be used.
+    """
+    check_applied_schemas(prim)
+    return Shot(name=prim.GetName(), where=describe(prim), bracket=read_bracket(prim))
 
 
 def read_lens(prim: Usd.Prim) -> FisheyeLens:
