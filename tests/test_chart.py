@@ -16,6 +16,7 @@ from usdskin.errors import ImageError, LayerError
 from usdskin.estimate.chart.check import LARGEST_ERROR, check_patches
 from usdskin.estimate.chart.detect import find_corners
 from usdskin.estimate.chart.fit import fit_spectra
+from usdskin.estimate.chart.lattice import find_in_lattice
 from usdskin.estimate.chart.layouts import LAYOUTS
 from usdskin.estimate.chart.orders import laid_out_otherwise, listed_otherwise
 from usdskin.estimate.chart.photograph import develop
@@ -508,9 +509,54 @@ def test_what_is_not_the_chart_is_not_found(what):
         find_corners(picture, CLASSIC, signals())
 
 
-def test_the_digital_sg_wants_its_corners():
-    with pytest.raises(LayerError, match=r"sg140 cannot be found by itself; .* --corners"):
-        find_corners(np.ones((9, 9, 3), np.float32), SG, np.ones((140, 61)))
+def smooth_reflectances(count, seed=1):
+    """Return broad bumps on a base of their own, shape [count, 61]."""
+    rng = np.random.default_rng(seed)
+    nm = np.arange(400.0, 701.0, 5.0)
+    middle, width = rng.uniform(400.0, 700.0, (count, 1)), rng.uniform(30.0, 120.0, (count, 1))
+    base, height = rng.uniform(0.02, 0.3, (count, 1)), rng.uniform(0.1, 0.6, (count, 1))
+    return base + height * np.exp(-0.5 * ((nm - middle) / width) ** 2)
+
+
+@cache
+def smooth_chart(name):
+    """Return a picture of a chart of smooth reflectances, its corners, spectra and lens."""
+    layout, lens = LAYOUTS[name], fisheye()
+    spectra = smooth_reflectances(len(layout.names)) * lamp("D55")
+    colors = spectra @ camera() / spectra.max()
+    middle = (0.02, 0.01, -0.6)
+    return *fisheye_picture(layout, colors, lens, TILTS[1], middle), spectra, lens
+
+
+@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
+@pytest.mark.parametrize(("column", "row", "turn"), [(0, 0, 0), (2, -1, 0), (-1, 3, 2), (1, 2, 1)])
+def test_chart_is_found_in_a_grid_that_is_off_by_cells_and_turned(layout, column, row, turn):
+    picture, corners, spectra, lens = smooth_chart(layout.name)
+    plane = chart_plane(corners, lens, "chart")
+    pitch = 2.0 * layout.half_size * (1.0 + layout.gap)
+    # Its cells, seen as a grid of as many columns and rows that begins elsewhere.
+    count = np.array([layout.columns, layout.rows])
+    half = 0.5 / (1.0 + layout.gap)
+    cell = UNIT_CORNERS * (count - 1 + 2.0 * half) - half
+    quarter = np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), turn)
+    middle = 0.5 * (count - 1)
+    begin = np.round(middle - quarter @ middle) + np.array([column, row])
+    off = plane.to_picture(layout.centers[0] + pitch * (begin + cell @ quarter.T))
+    found = find_in_lattice(picture, layout, chart_plane(off, lens, "grid"), fit_spectra(spectra))
+    assert found is not None
+    np.testing.assert_allclose(found[0], corners, atol=1e-6)
+    assert found[1] > 0.2
+
+
+def test_the_digital_sg_is_found():
+    spectra = smooth_reflectances(140) * lamp("FL11")
+    colors = spectra @ camera() / (spectra @ camera()).max()
+    lens = fisheye(focal_length_px=420.0, resolution=(720, 720), center_px=np.array([361.0, 358.0]))
+    middle = (0.02, 0.01, -0.62)
+    picture, corners = fisheye_picture(SG, colors, lens, (6.0, -8.0, 5.0), middle, samples=2)
+    found = find_corners(picture, SG, spectra, lens=lens)
+    assert np.abs(found.corners - corners).max() < 1.0
+    np.testing.assert_allclose(found.samples.values, colors, rtol=0.01)
 
 
 # --- Checks --------------------------------------------------------------------------------------

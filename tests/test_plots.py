@@ -74,7 +74,7 @@ def _training(light_class: str, lamp: str, names: tuple[str, ...], **changes):
     knots = np.linspace(GRID[0], GRID[-1], 6)
     signals = np.array([np.interp(GRID, knots, row) for row in heights]) * light
     values = signals @ RESPONSE * random.normal(1.0, 0.01, (len(names), 3))
-    matrix = np.linalg.lstsq(values, signals, rcond=None)[0].T
+    matrix = np.linalg.lstsq(values, signals, rcond=None)[0].T.copy()
     error = random.uniform(0.2, 3.0, len(names))
     recovery = Recovery(
         light_class, matrix, "regression", light, 12.0, 0.01, 0.99, 0.01, 1.2, 0.002,
@@ -261,6 +261,13 @@ def test_without_a_choice_the_patches_shown_are_skin_and_what_differs_most():
     names = ("a", "b", "light skin", "c", "white", "blue")
     assert choose_patches(names, lab, count=4) == [0, 2, 4, 5]
     assert choose_patches(names, lab, ("blue", "A")) == [5, 0]
+
+
+def test_the_first_words_of_a_patch_are_enough_where_they_mean_one_patch():
+    lab = np.zeros((24, 3))
+    assert choose_patches(CLASSIC, lab, ("White", "neutral 5", "blue")) == [18, 21, 12]
+    with pytest.raises(UsageError, match="--patches neutral: the chart has no such patch"):
+        choose_patches(CLASSIC, lab, ("neutral",))
 
 
 def test_the_mean_of_a_light_is_the_solid_angle_weighted_mean_of_its_map(tmp_path):

@@ -1,6 +1,7 @@
 import json
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -124,9 +125,9 @@ def test_regression_is_the_inverse_whose_prior_is_the_chart(lamp):
 @pytest.mark.parametrize("lamp", LAMPS)
 def test_lamp_is_one_more_row_of_the_chart(lamp):
     training = train(lamp)
-    found = recover(training, known(), ridge=0.0, exponent=0.0, lamp=0.5).matrix
+    found = recover(training, known(), ridge=0.0, exponent=0.0, lamp=0.7).matrix
     light, white = training.illuminant, training.illuminant @ camera()
-    weight = 0.5 * ((training.camera_values / white) ** 2).mean(axis=1).sum()
+    weight = 0.7 * ((training.camera_values / white) ** 2).mean(axis=1).sum()
     prior = training.signals.T @ training.signals + weight * np.outer(light, light)
     expected = generalized_inverse(camera(), prior)
     np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
@@ -441,17 +442,48 @@ def test_posterior_tells_the_size_of_errors(lamp):
 
 def test_lamp_comes_back_truer_when_it_counts():
     errors = {}
-    for lamp_weight in (0.0, 0.5):
+    for lamp_weight in (0.0, 1.0):
         found = []
         for lamp in LAMPS:
             training = train(lamp, noise=0.001)
             responsivity = estimate_responsivity([training])
-            recovery = recover(training, responsivity, lamp=lamp_weight)
+            fixed = {"ridge": 1e-4, "exponent": 0.5, "lamp": lamp_weight}
+            recovery = recover(training, responsivity, **fixed)
             light = training.illuminant
             lit = recovery.matrix @ (light @ camera())
             found.append(float(delta_e_of_signals(lit, light, light, GRID)))
         errors[lamp_weight] = np.mean(found)
-    assert errors[0.5] < 0.85 * errors[0.0]
+    assert errors[1.0] < 0.6 * errors[0.0]
+
+
+@pytest.mark.parametrize(("lit", "lamp"), [("tubes", "FL2"), ("window", "D65")])
+def test_skin_in_a_room_of_one_lamp_looks_as_it_does_in_its_true_light(lit, lamp):
+    from pxr import Usd
+
+    import usdskin.schemas  # noqa: F401
+    from usdskin.images import read_image
+    from usdskin.meters import irradiance
+
+    room = Path(__file__).resolve().parents[1] / "stages" / "capture_room"
+    stage = Usd.Stage.Open(str(room / f"{lit}.usda"))
+    prim = stage.GetPrimAtPath("/Room/Light")
+    wavelengths = np.array(prim.GetAttribute("inputs:spectral:basis:wavelengths").Get())
+    basis = np.array(prim.GetAttribute("inputs:spectral:basis").Get())
+    basis = resample(wavelengths, basis.reshape(-1, wavelengths.size), GRID)
+    texels = read_image(room / "room.exr").pixels.astype(np.float64)
+    texels = texels.reshape(64, 8, 128, 8, -1).mean(axis=(1, 3))
+    normals = np.random.default_rng(0).standard_normal((32, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    light = np.array([irradiance(texels, normal) for normal in normals]) @ basis
+    brightest = light[light.sum(axis=1).argmax()]
+    training = train(lamp, noise=0.003)
+    recovery = recover(training, estimate_responsivity([training]))
+    # Recovery is linear: that of the irradiance is the irradiance of the recovered panorama.
+    recovered = light @ camera() @ recovery.matrix.T
+    skins = chart()[1][:2, None]
+    delta_e = delta_e_of_signals(recovered * skins, light * skins, brightest, GRID)
+    print(f"{lit}: skin dE2000 mean {delta_e.mean():.3f} max {delta_e.max():.3f}")
+    assert delta_e.mean() <= 0.3 and delta_e.max() <= 0.6
 
 
 @pytest.mark.parametrize("estimator", ["regression", "pca", "wiener", "smooth"])
@@ -600,6 +632,13 @@ def test_black_patch_is_refused_by_name():
         Training(training.patches, values, training.signals, GRID, training.illuminant)
 
 
+def test_chart_without_bounds_is_refused():
+    names = tuple(str(k) for k in range(2001))
+    parts = (np.ones((2001, 3)), np.ones((2001, 3)), np.array([450.0, 550.0, 650.0]), np.ones(3))
+    with pytest.raises(ValueError, match="2001 patches in 3 bands are more than the 2000"):
+        Training(names, *parts)
+
+
 def test_unknown_estimator_is_refused():
     with pytest.raises(ValueError, match="unknown estimator 'kernel'; choose one of regression"):
         recover(train(), known(), "kernel")
@@ -614,9 +653,9 @@ def test_charts_of_different_grids_are_refused():
 
 # --- Measured cameras, chart and skin ----------------------------------------------------------
 
-TUNED_ON = "Nikon_D5100"
-"""The camera, as another laboratory measured it, that weights were looked at with; the other
-sixteen were never used for any choice."""
+LOOKED_AT = ("Nikon_D5100", "Fujifilm_X-T3", "Nikon_D200", "Panasonic_DC-GX9")
+"""Cameras whose results were seen while weights were chosen (the first, as another laboratory
+measured it, served for choosing them); the other thirteen are held apart."""
 
 
 def measured_cameras(folder):
@@ -647,7 +686,7 @@ def measured_skin(folder):
 
 @pytest.mark.realdata
 @pytest.mark.parametrize("lamp", LAMPS)
-def test_sixteen_cameras_never_tuned_on_meet_the_bars(realdata, lamp):
+def test_cameras_held_apart_meet_the_bars_on_average(realdata, lamp):
     cameras, patches = measured_cameras(realdata), measured_chart(realdata)
     objects, skin = held_out(), measured_skin(realdata)
     skin = skin[:: max(len(skin) // 300, 1)]
@@ -663,14 +702,19 @@ def test_sixteen_cameras_never_tuned_on_meet_the_bars(realdata, lamp):
             f"p95 {rows[name].p95:.2f}, skin GFC {of_skin[name].gfc:.4f} "
             f"dE {of_skin[name].delta_e:.2f} p95 {of_skin[name].p95:.2f}"
         )
-    # On the mean: three cameras' channels are too far from the eye's (p95 up to 4.4).
+    # On the mean: some cameras' channels are too far from the eye's, noise or not (p95 to 4.4).
     found, found_skin = (
         np.mean(
-            [[row.gfc, row.delta_e, row.p95] for name, row in each.items() if name != TUNED_ON], 0
+            [
+                [row.gfc, row.delta_e, row.p95]
+                for name, row in each.items()
+                if name not in LOOKED_AT
+            ],
+            0,
         )
         for each in (rows, of_skin)
     )
-    print(f"{lamp:5}mean of 16: objects {found.round(4)}, skin {found_skin.round(4)}")
+    print(f"{lamp:5}mean of 13: objects {found.round(4)}, skin {found_skin.round(4)}")
     assert found[0] >= BARS[lamp] and found[1] <= 1.7 and found[2] <= 3.5
     assert found_skin[0] >= 0.99 and found_skin[1] <= 2.2
     assert min(row.gfc for row in rows.values()) >= BARS[lamp]

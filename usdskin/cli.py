@@ -26,6 +26,7 @@ from usdskin.commands import (
     ingest,
     photograph,
     pictures,
+    plot,
     system,
 )
 from usdskin.commands.options import StepCommand, global_options, with_paragraph_marks
@@ -91,6 +92,7 @@ for _command in (
     *calibrate.COMMANDS,
     *estimate.COMMANDS,
     *pictures.COMMANDS,
+    *plot.COMMANDS,
     *files.READING,
     *system.COMMANDS,
 ):

@@ -29,6 +29,9 @@ ROW_LIMIT = 40
 Row = dict[str, Any]
 Report = dict[str, Any]
 
+_INSTRUMENTS = ("captures", "calibrations", "charts", "estimates")
+"""Tables of layers that are no pictures: what a render would miss in them is no problem."""
+
 
 def inspect_file(path: Path) -> Report:
     """Return what is in a stage, layer or picture.
@@ -87,7 +90,7 @@ def _stage_report(path: Path, stage: Any, notes: list[Note]) -> Report:
                     report[name] += [{"path": str(prim.GetPath()), **item} for item in rows]
                 except UsdSkinError as error:
                     problems.append(str(error))
-    if report["meshes"] or not any(report[name] for name in ("captures", "calibrations", "charts")):
+    if report["meshes"] or not any(report[name] for name in _INSTRUMENTS):
         _try_reading(stage, notes, problems)
     report["notes"] = [
         {"code": note.code, "path": note.path, "message": note.message} for note in notes

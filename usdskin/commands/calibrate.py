@@ -269,9 +269,13 @@ def camera(
                 click.echo(line, err=True)
         reporter.wrote([result.path])
         if plot is not None:
+            from usdskin.notes import Note
             from usdskin.plots.step import plot_file
 
-            reporter.wrote([plot_file(result.path, plot)])
+            drawn: list[Note] = []
+            written = plot_file(result.path, plot, notes=drawn)
+            reporter.notes(drawn)
+            reporter.wrote([written])
 
 
 COMMANDS: tuple[click.Command, ...] = (calibrate,)

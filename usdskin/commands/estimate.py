@@ -109,9 +109,13 @@ def light(
                 click.echo(line, err=True)
         reporter.wrote(result.paths)
         if plot is not None:
+            from usdskin.notes import Note
             from usdskin.plots.step import plot_file
 
-            reporter.wrote([plot_file(output, plot)])
+            drawn: list[Note] = []
+            written = plot_file(output, plot, notes=drawn)
+            reporter.notes(drawn)
+            reporter.wrote([written])
 
 
 def _estimate(reporter: Reporter, source: Path, output: Path, given: dict[str, Any]) -> Any:

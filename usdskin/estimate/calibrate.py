@@ -22,7 +22,7 @@ from usdskin.device import open_workers
 from usdskin.errors import LayerError, UsageError
 from usdskin.estimate.chart.layouts import LAYOUTS
 from usdskin.estimate.patches import Darkroom, UsedPatches, read_patches
-from usdskin.estimate.recovery import Training, estimate_responsivity, recover
+from usdskin.estimate.recovery import Training, estimate_responsivity, in_one_unit, recover
 from usdskin.layers import open_stage, record_provenance, write_layer
 from usdskin.notes import Note
 from usdskin.prims import (
@@ -223,8 +223,10 @@ def _calibrate(
     estimator: str,
     notes: list[Note],
 ) -> SpectralCamera:
-    trainings = [_training(item, grid) for item in used]
+    trainings: Sequence[Training] = [_training(item, grid) for item in used]
     try:
+        if charts[0].units == "relative":
+            trainings = in_one_unit(trainings)
         responsivity = estimate_responsivity(trainings)
         recoveries = tuple(recover(item, responsivity, estimator) for item in trainings)
     except ValueError as error:

@@ -124,7 +124,7 @@ def read_patches(
         [names[row] for row in rows],
         values[rows],
         signals[rows],
-        layout=layout if asked.all() else None,
+        layout=layout,
         stddev=None if stddev is None else stddev[rows],
         clipped=None if clipped is None else clipped[rows],
         notes=notes,

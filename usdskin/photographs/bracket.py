@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from usdskin.device import Workers
 from usdskin.errors import ImageError, LayerError
 from usdskin.photographs.frames import Frame, open_frame
-from usdskin.prims import View
+from usdskin.prims.captures import Bracketed
 
 if TYPE_CHECKING:
     from usdskin.photographs.response import Response
@@ -34,7 +34,7 @@ _PILE_SHARE = 1e-3  # of the samples at one raw value is no chance
 class OpenBracket:
     """Opened photographs; every array is in their order, which is that of exposure."""
 
-    view: View
+    view: Bracketed
     """The view they show."""
 
     order: NDArray[np.intp]
@@ -105,7 +105,7 @@ class OpenBracket:
 
 @contextmanager
 def open_bracket(
-    view: View,
+    view: Bracketed,
     scratch: Path,
     response: Response | None,
     max_mb: int,
@@ -157,7 +157,7 @@ def open_bracket(
         )
 
 
-def _refuse_odd_one(view: View, first: Frame, frame: Frame) -> None:
+def _refuse_odd_one(view: Bracketed, first: Frame, frame: Frame) -> None:
     if (first.width, first.height) != (frame.width, frame.height):
         raise ImageError(
             f"{view.where}: {first.path} has {first.width} x {first.height} pixels and "
@@ -171,7 +171,7 @@ def _refuse_odd_one(view: View, first: Frame, frame: Frame) -> None:
         )
 
 
-def _levels(view: View, frames: tuple[Frame, ...]) -> tuple[FloatArray, FloatArray]:
+def _levels(view: Bracketed, frames: tuple[Frame, ...]) -> tuple[FloatArray, FloatArray]:
     """Return black [image_count, 3] and white [3]: what the layer says, else what the files say."""
     stated = view.bracket.black_level
     black = np.array(
@@ -196,7 +196,7 @@ def _levels(view: View, frames: tuple[Frame, ...]) -> tuple[FloatArray, FloatArr
 
 
 def _curve(
-    view: View, frame: Frame, response: Response, black: FloatArray, white: FloatArray
+    view: Bracketed, frame: Frame, response: Response, black: FloatArray, white: FloatArray
 ) -> FloatArray:
     top = float(response.level[-1])
     if not frame.is_integer or not 0.5 * frame.full_scale < top <= 1.01 * frame.full_scale:

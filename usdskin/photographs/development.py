@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -15,10 +17,18 @@ from usdskin.photographs.response import (
     recover_response,
     sample_pixels,
 )
-from usdskin.prims import Shoot, View
+from usdskin.prims.captures import Bracketed
 
 
-def find_responses(shoot: Shoot, scratch: Path, notes: list[Note]) -> dict[str, Response]:
+class Photographed(Protocol):
+    """A ``Shoot``, or whatever else holds brackets one camera took."""
+
+    @property
+    def views(self) -> Sequence[Bracketed]:
+        """The brackets; their names differ."""
+
+
+def find_responses(shoot: Photographed, scratch: Path, notes: list[Note]) -> dict[str, Response]:
     """Return the response of every view whose raw values do not follow exposure.
 
     A response file wins; else ``bracket:transfer`` says whether a curve is to be recovered, and
@@ -38,7 +48,7 @@ def find_responses(shoot: Shoot, scratch: Path, notes: list[Note]) -> dict[str, 
         ImageError: A photograph cannot be read.
     """
     found: dict[str, Response] = {}
-    developed: dict[tuple[float, ...], list[View]] = {}
+    developed: dict[tuple[float, ...], list[Bracketed]] = {}
     for view in shoot.views:
         if view.bracket.response_file is not None:
             found[view.name] = read_response(view.bracket.response_file)
@@ -60,7 +70,7 @@ def find_responses(shoot: Shoot, scratch: Path, notes: list[Note]) -> dict[str, 
     return found
 
 
-def _is_developed(view: View, scratch: Path) -> bool:
+def _is_developed(view: Bracketed, scratch: Path) -> bool:
     if view.bracket.transfer != "auto":
         return view.bracket.transfer == "recovered"
     first = view.bracket.images[0]
@@ -70,7 +80,7 @@ def _is_developed(view: View, scratch: Path) -> bool:
         return bool(frame.sample_type == "uint8")
 
 
-def _recover(views: list[View], scratch: Path) -> Response:
+def _recover(views: list[Bracketed], scratch: Path) -> Response:
     samples = []
     full_scale = 0.0
     for view in views:

@@ -27,7 +27,7 @@ from usdskin.photographs.exposures import (
 from usdskin.photographs.flat import divide_by_flat
 from usdskin.photographs.merge_rows import merge_all_rows
 from usdskin.photographs.noise import NoiseModel, find_noise
-from usdskin.prims import View
+from usdskin.prims.captures import Bracketed
 from usdskin.progress import Progress, SilentProgress
 from usdskin.warp_kernels.bracket import CLIPPED, DARK, MOVED, SATURATION
 
@@ -107,7 +107,7 @@ class MergedView:
 
 
 def merge_bracket(
-    view: View,
+    view: Bracketed,
     workers: Workers,
     scratch: Path,
     response: Response | None = None,
@@ -203,7 +203,7 @@ def _refuse_lost(bracket: OpenBracket, status: NDArray[np.uint8]) -> None:
         )
 
 
-def _moved_note(view: View, status: NDArray[np.uint8], share: float) -> Note:
+def _moved_note(view: Bracketed, status: NDArray[np.uint8], share: float) -> Note:
     """Tell how much moved, and where most of it is."""
     moved = (status & MOVED) != 0
     rows = np.add.reduceat(moved, np.arange(0, moved.shape[0], _CELL_PX), axis=0, dtype=np.int64)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from usdskin.errors import LayerError
 from usdskin.images import replacing
 from usdskin.photographs.response_fit import fit_curve, is_usable
-from usdskin.prims import View
+from usdskin.prims.captures import Bracketed
 
 FloatArray = NDArray[np.float64]
 
@@ -151,7 +151,7 @@ def _evenly(brightness: NDArray[Any], unevenness: NDArray[Any], count: int) -> N
 
 
 def recover_response(
-    view: View, samples: FloatArray, exposure: FloatArray, full_scale: float = 255.0
+    view: Bracketed, samples: FloatArray, exposure: FloatArray, full_scale: float = 255.0
 ) -> Response:
     """Recover the inverse response of a camera from the pictures of one bracket.
 
@@ -191,7 +191,7 @@ def recover_response(
 
 
 def _recover_channel(
-    view: View, samples: FloatArray, log_exposure: FloatArray, name: str
+    view: Bracketed, samples: FloatArray, log_exposure: FloatArray, name: str
 ) -> FloatArray:
     """Return ln(exposure) of every level up to a constant, shape [level_count].
 

@@ -38,6 +38,7 @@ PARTS = ("spectrum", "chromaticity", "picture", "classes", "summary")
 """What the figure shows, by the names that ``--what`` takes."""
 
 _EXTENT = (0.0, 360.0, -90.0, 90.0)
+_LEAST_PERCENT = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +110,7 @@ def _available(
     parts = chosen_parts(what, PARTS, "a light")
     lacking = {}
     if light.class_shares is None:
-        lacking["classes"] = "one class of lamps alone"
+        lacking["classes"] = "no coefficients of several classes"
     if light.picture is None:
         lacking["picture"] = "no RGB rendition (inputs:texture:file)"
     if light.estimate is None:
@@ -119,7 +120,7 @@ def _available(
             raise LayerError(
                 f"{light.where}: has {lacking[name]}, which --what {name} draws; leave it out"
             )
-        if notes is not None and name != "classes":  # one class is nothing to miss
+        if notes is not None and name != "classes":  # most lights have one
             text = f"{name} not drawn: {lacking[name]}"
             notes.append(Note("plot-left-out", light.where, text))
     return tuple(name for name in parts if name not in lacking)
@@ -242,7 +243,7 @@ def _entries(light: LightSpectra) -> list[tuple[str, str]]:
     )
     entries = [("spectrum", " ".join(filter(None, (estimate.origin, estimate.illuminant))))]
     entries += [
-        (name, f"{factor * value:{style}} {unit}".strip())
+        (name, _written(factor * value, style, unit))
         for name, value, factor, style, unit in table
         if value is not None
     ]
@@ -250,6 +251,12 @@ def _entries(light: LightSpectra) -> list[tuple[str, str]]:
     if len(estimate.classes) > 1:
         entries += [(f"luminous flux of {name}", f"{100.0 * s:.3g} %") for name, s in shares]
     return entries
+
+
+def _written(value: float, style: str, unit: str) -> str:
+    if unit == "%" and 0.0 < value < _LEAST_PERCENT:
+        return f"< {_LEAST_PERCENT:g} %"
+    return f"{value:{style}} {unit}".strip()
 
 
 def _title(light: LightSpectra) -> str:

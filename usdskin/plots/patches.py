@@ -26,14 +26,14 @@ def choose_patches(
     Args:
         names: The chart's patches.
         lab: What they look like, L*, a*, b*, shape [patch_count, 3].
-        wanted: Names asked for, capital letters or not.
+        wanted: Names asked for, capital letters or not; their first words where those are enough.
         count: How many to choose where none are asked for.
 
     Returns:
         Indices into ``names``.
 
     Raises:
-        UsageError: The chart has no patch of that name.
+        UsageError: The chart has no patch of that name, or several that begin so.
     """
     if wanted:
         return [_index(name, names) for name in wanted]
@@ -53,6 +53,10 @@ def _index(name: str, names: Sequence[str]) -> int:
     key = name.strip().lower()
     if key in plain:
         return plain.index(key)
+    # "white" is enough for "white 9.5 (.05 D)".
+    begin = [index for index, item in enumerate(plain) if item.startswith(f"{key} ")]
+    if len(begin) == 1:
+        return begin[0]
     close = difflib.get_close_matches(key, plain, n=3)
     shown = [names[plain.index(item)] for item in close] or [*names[:6], "..."]
     raise UsageError(f"--patches {name}: the chart has no such patch; it has {', '.join(shown)}")

@@ -34,6 +34,7 @@ from usdskin.prims.charts import (
     write_color_chart,
 )
 from usdskin.prims.estimates import LightEstimate, read_light_estimate, write_light_estimate
+from usdskin.prims.fits import SkinFitRecord, read_skin_fit, write_skin_fit
 from usdskin.prims.lights import SpectralLight, read_spectral_light, write_spectral_light
 from usdskin.prims.panoramas import CapturedPanorama, read_captured_panorama
 from usdskin.prims.samples import (
@@ -56,6 +57,7 @@ __all__ = [
     "SampleLight",
     "Shoot",
     "Shot",
+    "SkinFitRecord",
     "SkinParameters",
     "SkinRenderSettings",
     "SkinSamples",
@@ -74,6 +76,7 @@ __all__ = [
     "read_shoot",
     "read_shot",
     "read_skin",
+    "read_skin_fit",
     "read_skin_samples",
     "read_spectral_camera",
     "read_spectral_light",
@@ -85,6 +88,7 @@ __all__ = [
     "write_light_estimate",
     "write_rotation",
     "write_skin",
+    "write_skin_fit",
     "write_skin_samples",
     "write_spectral_camera",
     "write_spectral_light",

@@ -25,6 +25,7 @@ _NAMESPACES = {
     "inputs:skin:": "SkinMaterialAPI",
     "samples:": "SkinSampleAPI",
     "inputs:spectral:": "SpectralLightAPI",
+    "fit:": "SkinMaterialAPI",
     "usdskin:": "SkinRenderSettingsAPI",
 }
 _SPECTRUM = "spectrum:"

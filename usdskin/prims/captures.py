@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,6 +137,22 @@ class View:
     rotation: FloatArray
     """Rotation from the camera (looks along -Z, +Y up) to the world of the stage: world = R @ ray,
     shape [3, 3]."""
+
+
+class Bracketed(Protocol):
+    """What was photographed with an exposure bracket: a ``View`` or a ``Shot``."""
+
+    @property
+    def name(self) -> str:
+        """Name of the prim."""
+
+    @property
+    def where(self) -> str:
+        """``layer.usda </Prim/path>``, for errors."""
+
+    @property
+    def bracket(self) -> ExposureBracket:
+        """Its photographs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -352,6 +352,7 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
         ),
         either("inputs:skin:albedo:file", "inputs:skin:weights:file"),
         _square("fit:covariance"),
+        one_per("fit:values", "fit:parameters"),
     ),
     "SkinRenderSettingsAPI": (wavelengths("usdskin:wavelengths", at_least=2),),
 }

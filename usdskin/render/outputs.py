@@ -5,8 +5,9 @@ Writes: ``OUT.exr`` (beauty and data parts), ``OUT.spectral.exr`` and ``OUT.png`
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +81,7 @@ def write_picture(
     """
     beauty = exposed_rgb(picture, camera, settings)
     header = _header(shot, product, settings, camera)
+    placed = placement_attributes(camera)
     written = []
     if "exr" in files:
         parts = []
@@ -88,13 +90,14 @@ def write_picture(
                 Part(
                     "beauty",
                     {"": beauty},
-                    header,
+                    {**header, **placed},
                     "half" if product.half else "float",
                     settings.color_space,
                 )
             )
         for aov in product.aovs:
-            parts.append(_data_part(aov.name, aov.source, data, scene, settings, shot))
+            part = _data_part(aov.name, aov.source, data, scene, settings, shot)
+            parts.append(replace(part, attributes={**part.attributes, **placed}))
         write_exr(
             files["exr"],
             parts,
@@ -111,7 +114,7 @@ def write_picture(
             picture.spectrum,
             beauty,
             "W.m^-2.sr^-1.nm^-1" if shot.absolute else "relative",
-            header,
+            {**header, **placed},
             settings.compression,
             color_space=settings.color_space,
             pixel_aspect_ratio=camera.pixel_aspect_ratio,
@@ -152,6 +155,22 @@ def _header(
     if product.prim_path:
         header["usdskin/product"] = product.prim_path
     return header
+
+
+def placement_attributes(camera: Camera) -> dict[str, Any]:
+    """Return header attributes that tell where a picture was seen from.
+
+    ``worldToCamera`` is OpenEXR's standard attribute: it multiplies row vectors from the right, as
+    all its matrices do, and takes the positions [m] of the part P to the camera, which looks along
+    its -Z. ``usdskin/projection`` is ``perspective`` or ``orthographic``.
+
+    Args:
+        camera: The camera.
+    """
+    return {
+        "worldToCamera": np.linalg.inv(camera.to_world).T,
+        "usdskin/projection": "orthographic" if camera.orthographic else "perspective",
+    }
 
 
 def _data_part(

@@ -22,7 +22,7 @@ LARGEST_ERROR = 0.15
 """Median residual of a chart whose camera values can belong to its spectra. Over 17 measured
 cameras, 5 lights, Classic 24 and Digital SG it is 0.015 at most with 1 % noise and 0.042 with 3 %,
 and 0.43 at least in a wrong order; four photographs with the lamp's nominal spectrum and published
-reflectances came to 0.06 to 0.08."""
+reflectances came to 0.06 to 0.09."""
 
 USUAL_ERROR = 0.05
 """Above this something is amiss, though the patches are in order."""

@@ -1,8 +1,8 @@
 """Find a chart in its picture, and believe it only where its colors say so.
 
 OpenCV's mcc proposes places; its own cost tells nothing about whether they are right, and a Digital
-SG it mostly takes for turned or mirrored. What counts is that the patches found there follow their spectra (see ``fit``), are even, and do so in one
-orientation alone.
+SG it mostly takes for turned or mirrored. What counts is that the patches found there follow their
+spectra (see ``fit``), are even, and do so in one orientation alone.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from usdskin.errors import ImageError, LayerError
 from usdskin.estimate.chart.check import LARGEST_ERROR
 from usdskin.estimate.chart.fit import SpectraFit, fit_spectra
+from usdskin.estimate.chart.lattice import find_in_lattice
 from usdskin.estimate.chart.layouts import Layout
 from usdskin.estimate.chart.plane import UNIT_CORNERS, chart_plane
 from usdskin.estimate.chart.refine import refine_corners
@@ -32,7 +33,7 @@ in the picture are brighter than the chart, what surrounds it may be darker."""
 
 _CANDIDATES = 4
 _UNEVEN = 0.05  # spread within a patch of the chart, as light falls off over it
-_AMBIGUOUS = 0.5  # of the error in any other orientation
+_AMBIGUOUS = 0.5  # of the error in any other place or turn
 _MCC_KINDS = {"classic24": "MCC24", "sg140": "SG140"}
 _MCC_MARGIN = 0.1
 """Around the patches in the box of mcc's models, in sides of a patch."""
@@ -85,11 +86,7 @@ def find_corners(
     fit = fit_spectra(signals)
     best: FoundChart | None = None
     for corners in _proposals(values, layout):
-        try:
-            refined = refine_corners(values, layout, corners, lens, where)
-        except (LayerError, ImageError):
-            continue
-        found = _orient(values, variance, status, layout, refined, lens, fit)
+        found = _recognised(values, variance, status, layout, corners, lens, fit)
         if found is not None and (best is None or found.error < best.error):
             best = found
         if best is not None and best.error <= 0.5 * LARGEST_ERROR:
@@ -140,7 +137,7 @@ def _proposals(values: NDArray[np.float32], layout: Layout) -> Iterator[FloatArr
             yield plane.to_picture(field)
 
 
-def _orient(
+def _recognised(
     values: NDArray[np.float32],
     variance: NDArray[np.float32] | None,
     status: NDArray[np.uint8] | None,
@@ -149,35 +146,26 @@ def _orient(
     lens: FisheyeLens | None,
     fit: SpectraFit,
 ) -> FoundChart | None:
-    """Return the chart in the orientation in which its colors fit; None: in none, or in several."""
-    found = []
-    for turn in range(4):
-        turned = np.roll(corners, turn, axis=0)
-        try:
-            samples = sample_patches(values, variance, status, layout, turned, lens)
-        except (LayerError, ImageError):
-            continue
-        found.append(FoundChart(turned, _orientation(turned), fit.error(samples.values), samples))
-    found.sort(key=lambda chart: chart.error)
-    if not found or float(np.median(found[0].samples.evenness)) > _UNEVEN:
+    """Return the chart at or beside a proposal; None: its colors fit nowhere, or in two places."""
+    try:
+        grid = refine_corners(values, layout, corners, lens, "proposal")
+        found = find_in_lattice(values, layout, chart_plane(grid, lens, "proposal"), fit)
+        if found is None:
+            return None
+        refined = refine_corners(values, layout, found[0], lens, "proposal")
+        samples = sample_patches(values, variance, status, layout, refined, lens)
+    except (LayerError, ImageError):
         return None
-    mirrored = _mirrored_error(layout, found[0].samples, fit)
-    others = [mirrored, *(chart.error for chart in found[1:])]
-    return found[0] if found[0].error <= _AMBIGUOUS * min(others) else None
+    error = fit.error(samples.values)
+    if float(np.median(samples.evenness)) > _UNEVEN or error > _AMBIGUOUS * found[1]:
+        return None
+    return FoundChart(refined, _orientation(refined), error, samples)
 
 
 def _orientation(corners: FloatArray) -> str:
     """Return how a chart lies in the picture, from where its upper edge runs."""
     x, y = corners[1] - corners[0]
     return _TURNS[round(float(np.arctan2(y, x)) / (0.5 * np.pi)) % 4]
-
-
-def _mirrored_error(layout: Layout, samples: PatchSamples, fit: SpectraFit) -> float:
-    column, row = layout.positions.T
-    place = np.empty((layout.rows, layout.columns), np.int64)
-    place[row, column] = np.arange(len(column))
-    mirrored = place[row, layout.columns - 1 - column]
-    return fit.error(samples.values[mirrored])
 
 
 def _is_mirrored(corners: FloatArray) -> bool:

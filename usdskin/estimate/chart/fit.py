@@ -53,11 +53,20 @@ class SpectraFit:
         """Return the typical relative residual of camera values, the median over the patches."""
         return float(np.median(patch_errors(self.residuals(camera_values))))
 
+    def quick_errors(self, camera_values: FloatArray) -> FloatArray:
+        """Return typical residuals of many charts, by one weight for all, shape [count].
+
+        Args:
+            camera_values: Shape [count, patch_count, 3].
+        """
+        found = self.predictors[len(_WEIGHTS) // 2] @ self._scaled(camera_values)
+        return np.asarray(np.sqrt(np.median(np.square(found).mean(axis=2), axis=1)))
+
     def _scaled(self, camera_values: FloatArray) -> FloatArray:
         """Return camera values over brightness, 1 in the median patch."""
         rows = camera_values / self.scale[:, None]
         # A mean would let one patch that is far too bright make all errors look small.
-        level = np.median(np.abs(rows), axis=0)
+        level = np.median(np.abs(rows), axis=-2, keepdims=True)
         return np.asarray(rows / np.where(level > 0.0, level, 1.0))
 
 

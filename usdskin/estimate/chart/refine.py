@@ -72,7 +72,7 @@ def _measure_gaps(
         points = np.repeat(points, len(beside), axis=2)
         points[..., axis] += pitch[axis] * steps[:, None]
         points[..., 1 - axis] += pitch[1 - axis] * beside
-        profile = _interpolated(values, plane.to_picture(points)).mean(axis=2)
+        profile = interpolated(values, plane.to_picture(points)).mean(axis=2)
         profile = np.sqrt(np.maximum(profile, 0.0))
         change = np.square(np.diff(profile, axis=1)).sum(axis=2)
         at = 0.5 * (steps[1:] + steps[:-1])
@@ -138,7 +138,7 @@ def _design(places: FloatArray, axis: int) -> FloatArray:
     return design
 
 
-def _interpolated(values: NDArray[np.float32], positions: FloatArray) -> FloatArray:
+def interpolated(values: NDArray[np.float32], positions: FloatArray) -> FloatArray:
     """Return the picture at positions [px], bilinearly, of the nearest pixel beyond its edges."""
     height, width = values.shape[:2]
     finite = np.where(np.isfinite(positions), positions, 0.0) - 0.5

@@ -147,7 +147,7 @@ class LightReport:
             f"mean: {_quality(self.quality)}",
             f"illuminance: {self.illuminance:.4g} {unit} facing up; most, "
             f"{self.peak_illuminance:.4g} {unit}, facing {self.peak_elevation_deg:+.0f} deg above "
-            f"the horizon at column {self.peak_column:.0f}",
+            f"the horizon at x {self.peak_column:.0f} of the map",
         ]
         if self.origin == "assigned":
             lines.append(f"lamp: {self.illuminant}, assigned; the map does not tell its own")

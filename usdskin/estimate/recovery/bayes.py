@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.estimate.recovery.candidate import (
+    LAMP_WEIGHT,
     Candidate,
     Scene,
     generalized_inverse,
@@ -44,34 +45,37 @@ def wiener(
     responsivity: Responsivity,
     noise: FloatArray,
     ridge: float | None = None,
+    lamp: float = LAMP_WEIGHT,
 ) -> Iterator[Candidate]:
     """Yield the Wiener estimate: the most probable spectrum, noise considered.
 
     ``G^T = C t (t^T C t + k S)^-1`` (W. K. Pratt and C. E. Mancill, "Spectral estimation
     techniques for the spectral calibration of a color image scanner", Appl. Opt. 15(1), 1976;
     N. Shimano, IEEE Trans. Image Process. 15(7), 2006, for the noise). The prior has zero mean,
-    which keeps it linear in rho: ``C = (1 - b) mean(e e^T) + b diag(E) K diag(E)``, the second
-    moment of the class's signals and that of smooth reflectances in its light, both brought to
-    the brightness of the perfect diffuser, so that noise of relative size is noise of one size.
-    K is 1 plus a Gaussian covariance (standard deviation 0.5, width 50 nm). b and the factor k on
-    the noise are candidates; k is the candidate's ridge.
+    which keeps it linear in rho: ``C = (1 - b) mean(e e^T) + b diag(E) K diag(E) + lamp E E^T``,
+    the second moment of the class's signals, that of smooth reflectances in its light, and the
+    lamp itself, all in the brightness of the perfect diffuser, so that noise of relative size is
+    noise of one size. K is 1 plus a Gaussian covariance (standard deviation 0.5, width 50 nm). b
+    and the factor k on the noise are candidates; k is the candidate's ridge.
 
     Args:
         training: The chart.
         responsivity: t of the camera.
         noise: Relative standard deviation of camera values [1], shape [3].
         ridge: The only noise factor k to offer; several when None.
+        lamp: How much the lamp counts in the prior, the surfaces being 1.
     """
     full, left = whole(training, responsivity), without_each(training, responsivity)
     kernel = _smooth_kernel(training)
-    moment = _moment(full)
-    seen_by_chart, variance = _chart_sums(full, noise)
-    left_by_chart, left_variance = _chart_sums(left, noise)
-    seen_by_kernel, left_by_kernel = kernel @ full.t, kernel @ left.t
+    light, moment = training.illuminant, _moment(full)
+    variance, left_variance = _noise_variance(full, noise), _noise_variance(left, noise)
+    left_by_chart, left_by_kernel = _seen_by_chart(left), kernel @ left.t
+    left_by_lamp = light[:, None] * left.white[:, None, :]
     for share in KERNEL_SHARES:
-        prior = (1.0 - share) * moment + share * kernel
-        seen = (1.0 - share) * seen_by_chart + share * seen_by_kernel
+        prior = (1.0 - share) * moment + share * kernel + lamp * np.outer(light, light)
+        seen = prior @ full.t
         left_seen = (1.0 - share) * left_by_chart + share * left_by_kernel
+        left_seen = left_seen + lamp * left_by_lamp
         for factor in NOISE_FACTORS if ridge is None else (ridge,):
             refitted = _most_probable(left.t, left_seen, factor * left_variance)
             left_out = predicted(refitted, training.camera_values)
@@ -93,13 +97,18 @@ def _moment(scene: Scene) -> FloatArray:
     return np.asarray((scene.signals.T * weights) @ scene.signals)
 
 
-def _chart_sums(scene: Scene, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ``C t`` [..., n, 3] of the patches' own prior, and the variance of noise [..., 3]."""
+def _seen_by_chart(scene: Scene) -> FloatArray:
+    """Return ``C t`` of the patches' own second moment, shape [..., n, 3]."""
     weights = scene.counted / scene.sizes() ** 2
     weights = weights / scene.counted.sum(axis=-1, keepdims=True)
-    responses = scene.signals @ scene.t
-    seen = scene.signals.T @ (weights[..., None] * responses)
-    return seen, noise**2 * (weights @ scene.camera_values**2)
+    return np.asarray(scene.signals.T @ (weights[..., None] * (scene.signals @ scene.t)))
+
+
+def _noise_variance(scene: Scene, noise: FloatArray) -> FloatArray:
+    """Return the variance of camera values as bright as the diffuser's, shape [..., 3]."""
+    weights = scene.counted / scene.sizes() ** 2
+    weights = weights / scene.counted.sum(axis=-1, keepdims=True)
+    return np.asarray(noise**2 * (weights @ scene.camera_values**2))
 
 
 def _most_probable(t: FloatArray, seen: FloatArray, variance: FloatArray) -> FloatArray:
@@ -193,7 +202,7 @@ def posterior(
     scene = whole(training, responsivity)
     matrix = candidate.matrix
     missed = np.eye(matrix.shape[0]) - matrix @ scene.t.T
-    variance = _chart_sums(scene, noise)[1]
+    variance = _noise_variance(scene, noise)
     covariance = missed @ candidate.prior @ missed.T + (matrix * variance) @ matrix.T
     error = (candidate.left_out - training.signals) / scene.sizes()[:, None]
     expected = max(float(np.trace(covariance)), np.finfo(float).tiny)

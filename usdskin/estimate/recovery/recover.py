@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from usdskin.colorimetry import delta_e_2000, xyz_to_lab, xyz_weights
 from usdskin.differences import delta_e_of_signals, goodness_of_fit, relative_rmse
 from usdskin.estimate.recovery.bayes import Posterior, posterior, smooth, wiener
-from usdskin.estimate.recovery.candidate import Candidate, best
-from usdskin.estimate.recovery.learned import LAMP_WEIGHT, literal, pca, regression, tsvd
+from usdskin.estimate.recovery.candidate import LAMP_WEIGHT, Candidate, best
+from usdskin.estimate.recovery.learned import literal, pca, regression, tsvd
 from usdskin.estimate.recovery.responsivity import Responsivity
 from usdskin.estimate.recovery.training import Training, channel_scale, check_independent
 from usdskin.prims.cameras import Recovery
@@ -38,10 +38,9 @@ def recover(
 ) -> Recovery:
     """Return the matrix that turns camera values into spectra, and its quality.
 
-    The estimator's weights are those that predict patches best which they have not seen: the
-    least mean squared error of left-out patches, each relative to its own size. Quality is stated
-    for the same left-out patches; the choice among a few candidates makes it look better by
-    little.
+    The estimator's weights are those that predict left-out patches best, in spectrum and color
+    (``candidate.best``). Quality is stated for the same left-out patches; the choice among a few
+    candidates makes it look better by little.
 
     Args:
         training: The chart in the light of the class.
@@ -53,8 +52,8 @@ def recover(
             What it is, the estimator's function says; ``literal`` has none.
         exponent: The patch weighting of ``regression`` and ``pca``, 0 (equal absolute errors) to
             1 (equal relative ones), instead of the chosen one.
-        lamp: How much the lamp itself counts in ``regression``, all patches together being 1; 0
-            leaves the plain formula.
+        lamp: How much the lamp itself counts in ``regression`` and in the prior of ``wiener``, all
+            patches together being 1; 0 leaves the plain formulas.
 
     Returns:
         The recovery, its quality from left-out patches.
@@ -75,7 +74,7 @@ def recover(
     elif estimator == "pca":
         offered = pca(training, responsivity, ridge, exponent)
     elif estimator == "wiener":
-        offered = wiener(training, responsivity, spread, ridge)
+        offered = wiener(training, responsivity, spread, ridge, lamp)
     else:
         offered = smooth(training, responsivity, ridge)
     chosen = best(training, offered)

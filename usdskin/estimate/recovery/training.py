@@ -20,6 +20,9 @@ DARKNESS = 0.01
 """Camera value below which errors no longer shrink with it, of the brightest: glare and the
 sensor's own noise are left there [1]."""
 
+MAX_PATCHES = 2000
+"""Largest chart that leaving out every patch in turn has memory for."""
+
 MIN_INDEPENDENCE = 1e-6
 """Smallest third singular value of camera values, of the first, that tells three colours [1]."""
 
@@ -69,6 +72,10 @@ class Training:
     def _check_shapes(self) -> None:
         check_grid(self.wavelength_nm)
         m, n = len(self.patches), self.wavelength_nm.size
+        if max(m, n) > MAX_PATCHES:
+            raise ValueError(
+                f"{m} patches in {n} bands are more than the {MAX_PATCHES} that can be used"
+            )
         wanted = {
             "camera_values": (m, 3),
             "signals": (m, n),
