@@ -227,6 +227,34 @@ def test_a_reading_sets_the_scale(tmp_path, name, up_axis):
     assert estimate.scale == pytest.approx(float(np.median(ratio)), rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("clipped", "source"), [(0.0, "both"), (0.02, "luminance"), (None, "luminance")]
+)
+def test_two_readings_are_averaged_unless_light_is_missing(tmp_path, clipped, source):
+    texel = texel_directions(HEIGHT, WIDTH)[6, 31]
+    place = make_place(tmp_path)
+    luminance = place.radiance @ xyz_weights(NM, absolute=True)[:, 1]
+    read = {"luminance": 1.02, "illuminance": 0.98}
+    exact = {
+        "luminance": float(radiance_at(luminance, texel, 0.5)),
+        "illuminance": float(irradiance(luminance, texel)),
+    }
+    capture = {}
+    for name, factor in read.items():
+        capture |= {f"capture:{name}": factor * exact[name]}
+        capture |= {f"capture:{name}:direction": vector(texel)}
+    if clipped is not None:
+        capture |= {"capture:clippedShare": clipped, "capture:coverage": 1.0}
+    folder = tmp_path / "read"
+    folder.mkdir()
+    place = make_place(folder, capture=capture)
+    place.light()
+    scale = place.result.report.scale
+    assert scale.source == source
+    expected = 1.02 if source == "luminance" else np.sqrt(1.02 * 0.98)
+    assert scale.factor == pytest.approx(expected, rel=1e-5)
+
+
 def test_a_dome_of_a_stage_with_z_up_is_turned_upright(tmp_path):
     stage = open_stage(make_place(tmp_path, up_axis="Z").light())
     assert UsdGeom.GetStageUpAxis(stage) == "Z"

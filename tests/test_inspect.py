@@ -97,9 +97,10 @@ def test_meshes_tell_counts_and_materials_tell_skin(stage):
     (mesh,) = report["meshes"]
     assert (mesh["points"], mesh["faces"], mesh["primvars"]) == (4, 1, ["st"])
     assert mesh["material"] == "/World/Skin"
-    (skin,) = report["materials"]
-    assert (skin["skin"], skin["alpha"]) == (True, 1)
-    assert skin["wrap"] == pytest.approx(0.4)
+    (material,) = report["materials"]
+    assert material["skin"]
+    (skin,) = report["skins"]
+    assert (skin["path"], skin["alpha"], skin["l"]) == ("/World/Skin", "1", "0.4")
 
 
 def test_what_a_render_would_not_show_is_named(stage):

@@ -17,6 +17,7 @@ from usdskin.inspect_estimates import (
     chart_row,
     light_estimate_row,
     recovery_rows,
+    skin_row,
     spectral_camera_row,
 )
 from usdskin.notes import Note
@@ -29,8 +30,8 @@ ROW_LIMIT = 40
 Row = dict[str, Any]
 Report = dict[str, Any]
 
-_INSTRUMENTS = ("captures", "calibrations", "charts", "estimates")
-"""Tables of layers that are no pictures: what a render would miss in them is no problem."""
+_NO_PICTURES = ("captures", "calibrations", "charts", "estimates", "skins")
+"""What layers hold that are no stages to render: what a render would miss is no problem."""
 
 
 def inspect_file(path: Path) -> Report:
@@ -69,6 +70,7 @@ def _stage_report(path: Path, stage: Any, notes: list[Note]) -> Report:
         ("cameras", _is_render_camera, _camera_row),
         ("lights", lambda prim: prim.HasAPI(UsdLux.LightAPI), _light_row),
         ("materials", lambda prim: prim.IsA(UsdShade.Material), _material_row),
+        ("skins", lambda prim: prim.HasAPI("SkinMaterialAPI"), skin_row),
         ("meshes", lambda prim: prim.IsA(UsdGeom.Gprim), _gprim_row),
         ("captures", lambda prim: prim.HasAPI("CaptureAPI"), _capture_row),
         ("views", lambda prim: prim.HasAPI("FisheyeCameraAPI"), _view_row),
@@ -90,7 +92,7 @@ def _stage_report(path: Path, stage: Any, notes: list[Note]) -> Report:
                     report[name] += [{"path": str(prim.GetPath()), **item} for item in rows]
                 except UsdSkinError as error:
                     problems.append(str(error))
-    if report["meshes"] or not any(report[name] for name in _INSTRUMENTS):
+    if report["meshes"] or not any(report[name] for name in _NO_PICTURES):
         _try_reading(stage, notes, problems)
     report["notes"] = [
         {"code": note.code, "path": note.path, "message": note.message} for note in notes
@@ -243,17 +245,15 @@ def _light_row(prim: Any) -> Row:
 
 
 def _material_row(prim: Any) -> Row:
-    from usdskin.prims import read_skin
 
     # isort: split
-    from pxr import Usd, UsdShade
+    from pxr import UsdShade
 
     surface = UsdShade.Material(prim).ComputeSurfaceSource("")[0]
-    row: Row = {"surface": surface.GetShaderId() if surface else None, "skin": False}
-    if not prim.HasAPI("SkinMaterialAPI"):
-        return row
-    skin = read_skin(prim, Usd.TimeCode.EarliestTime())
-    return {**row, "skin": True, "alpha": skin.alpha, "wrap": skin.wrap}
+    return {
+        "surface": surface.GetShaderId() if surface else None,
+        "skin": prim.HasAPI("SkinMaterialAPI"),
+    }
 
 
 def _gprim_row(prim: Any) -> Row:

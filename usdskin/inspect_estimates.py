@@ -99,3 +99,74 @@ def light_estimate_row(prim: Any) -> Row:
     if found.grey_delta_e is not None:
         row |= {"dE grey": found.grey_delta_e, "dE skin": found.skin_delta_e}
     return row
+
+
+_SHOWN_NM = (450.0, 550.0, 650.0)
+
+
+def skin_row(prim: Any) -> Row:
+    """Return a skin material as a person would want to read it."""
+    from usdskin.prims import read_skin, read_skin_fit
+
+    # isort: split
+    from pxr import Usd
+
+    skin, fit = read_skin(prim, Usd.TimeCode.EarliestTime()), read_skin_fit(prim)
+    row: Row = {
+        "l": _with_error(skin.wrap, fit.wrap_stddev if fit else None),
+        "alpha": _with_error(skin.alpha, fit.alpha_stddev if fit else None),
+    }
+    for name, spectrum, stddev in (
+        ("S", skin.reflectance, fit.reflectance_stddev if fit else None),
+        ("Ss", skin.scattering, fit.scattering_stddev if fit else None),
+    ):
+        row[f"{name} at 450, 550, 650 nm"] = _at_shown(spectrum, stddev)
+    row |= _facing(skin)
+    row["specular"] = skin.specular_weight or None
+    if isinstance(skin.opacity, float):
+        row["opacity [1/m]"] = skin.opacity or None
+    else:
+        values = skin.opacity.value
+        row["opacity [1/m]"] = f"{values.min():.4g} to {values.max():.4g}"
+    if fit is not None:
+        row["residual"] = fit.residual
+        if fit.reach_deg is not None and fit.needed_reach_deg is not None:
+            row["reach [deg]"] = f"{fit.reach_deg:.0f} of {fit.needed_reach_deg:.0f}"
+    return row
+
+
+def _with_error(value: float, error: float | None) -> str:
+    return f"{value:.4g}" if error is None else f"{value:.4g} +- {error:.2g}"
+
+
+def _at_shown(spectrum: Any, stddev: Any) -> str | None:
+    import numpy as np
+
+    if spectrum is None:
+        return None
+    nm, error = spectrum.wavelength_nm, None
+    at = np.interp(_SHOWN_NM, nm, spectrum.value)
+    if stddev is not None:
+        error = float(np.median(np.interp(_SHOWN_NM, nm, stddev.value)))
+    listed = ", ".join(f"{value:.3f}" for value in at)
+    return listed if error is None else f"{listed} +- {error:.2g}"
+
+
+def _facing(skin: Any) -> Row:
+    """Return L*, a*, b* and ITA of the skin facing a light of D65."""
+    import numpy as np
+
+    from usdskin.colorimetry import illuminant, xyz_to_lab, xyz_weights
+    from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM
+
+    if skin.reflectance is None:
+        return {}
+    grid = DEFAULT_WAVELENGTHS_NM
+    spread = 0.0 if skin.scattering is None else skin.scattering.resample(grid)
+    weights = illuminant("D65", grid)[:, None] * xyz_weights(grid)
+    lit = skin.alpha * skin.reflectance.resample(grid) * (1.0 + spread)
+    lightness, a, b = xyz_to_lab(lit @ weights, weights.sum(axis=0))
+    return {
+        "L*a*b* (D65)": f"{lightness:.1f} {a:.1f} {b:.1f}",
+        "ITA [deg]": round(float(np.degrees(np.arctan2(lightness - 50.0, b))), 1),
+    }

@@ -12,12 +12,14 @@ from usdskin.commands.reporter import GlobalOptions, Reporter
 from usdskin.errors import UsageError
 
 _PATH = click.Path(path_type=Path)
+_LAYER_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 _HELP = r"""Estimate spectra from what was captured.
 
 \b
 Example:
     usdskin estimate light capture.usda --camera camera.usda -o light.usda
+    usdskin estimate skin samples.usda -o skin.usda
 """
 
 
@@ -145,6 +147,119 @@ def _refuse(given: dict[str, Any], names: tuple[str, ...], belongs_to: str) -> N
         if given[name] is not None:
             flag = {"light_class": "class"}.get(name, name.replace("_", "-"))
             raise UsageError(f"--{flag} belongs to {belongs_to}; leave it out")
+
+
+@estimate.command("skin", cls=StepCommand)
+@click.argument("source", metavar="SAMPLES.usda|ALBEDO.png", type=_PATH)
+@click.option("-o", "--output", type=_PATH, required=True, metavar="SKIN.usda", help="To write.")
+@click.option(
+    "--specular",
+    type=click.Choice(["none", "fit", "ignore"]),
+    default="none",
+    show_default=True,
+    help="Readings have no lustre (refused where they do), it is to be fitted, or it is known to "
+    "be absent (crossed polarisers).",
+)
+@click.option(
+    "--wrap",
+    type=click.FloatRange(0.0, 1.0),
+    metavar="L",
+    help="Wrap l, where it is known.  [default: fitted]",
+)
+@click.option(
+    "--scattering",
+    type=click.FloatRange(0.0, 100.0),
+    metavar="SS",
+    help="Scattering Ss of all columns, where it is known.  [default: fitted]",
+)
+@click.option(
+    "--opacity",
+    type=click.Choice(["none", "fit"]),
+    default="none",
+    show_default=True,
+    help="Fit the opacity delta, from readings through known thicknesses.",
+)
+@click.option(
+    "--like",
+    type=_PATH,
+    metavar="SKIN.usda",
+    help="Take wrap, scattering and lustre of a textured skin from this material.  [default: the "
+    "modelled skin that is shipped]",
+)
+@click.option(
+    "--color-space",
+    metavar="NAME",
+    help="Color space of ALBEDO.  [default: what the file says, or sRGB for 8 and 16 bits]",
+)
+@click.option(
+    "--plot", type=_PATH, metavar="FIGURE", help="Draw the fit: SVG, PDF or PNG (matplotlib)."
+)
+@click.pass_obj
+def skin(
+    options: GlobalOptions,
+    /,
+    source: Path,
+    output: Path,
+    plot: Path | None,
+    like: Path | None,
+    color_space: str | None,
+    **given: Any,
+) -> None:
+    r"""Fit a skin material to goniometric readings or photographs, or to an albedo texture.
+
+    SAMPLES.usda says where light and camera stood and what came back (SkinSampleAPI): spectra, or
+    the values of a calibrated camera. SKIN.usda holds a Material to be referenced: reflectance,
+    wrap and scattering with their standard deviations, and the readings they came from. An ALBEDO
+    picture tells colors only; it is given the likeliest spectra of measured skin.
+
+    \b
+    Examples:
+        usdskin estimate skin samples.usda -o skin.usda --plot skin.svg
+        usdskin estimate skin samples.usda -o skin.usda --specular fit
+        usdskin estimate skin albedo.png -o skin.usda --like measured.usda
+    """
+    with Reporter(options) as reporter:
+        if source.suffix.lower() not in _LAYER_SUFFIXES:
+            _refuse_fit_options(given, plot)
+            from usdskin.estimate.skin.textured import estimate_textured_skin
+
+            textured = estimate_textured_skin(source, output, like, color_space)
+            reporter.notes(textured.notes)
+            reporter.seconds(textured.seconds)
+            reporter.wrote(textured.paths)
+            return
+        if like is not None or color_space is not None:
+            raise UsageError("--like and --color-space belong to an albedo picture; leave them out")
+        from usdskin.estimate.skin.step import SkinOptions, estimate_skin
+
+        result = estimate_skin(
+            source,
+            output,
+            SkinOptions(**given, device=options.device, threads=options.threads),
+            reporter.progress(),
+        )
+        reporter.notes(result.notes)
+        reporter.seconds(result.seconds)
+        reporter.event("skin", **result.report.as_dict())
+        if not reporter.json and not reporter.quiet:
+            for line in result.report.lines():
+                click.echo(line, err=True)
+        reporter.wrote([result.path])
+        if plot is not None:
+            from usdskin.notes import Note
+            from usdskin.plots.step import plot_file
+
+            drawn: list[Note] = []
+            written = plot_file(output, plot, notes=drawn)
+            reporter.notes(drawn)
+            reporter.wrote([written])
+
+
+def _refuse_fit_options(given: dict[str, Any], plot: Path | None) -> None:
+    usual = {"specular": "none", "wrap": None, "scattering": None, "opacity": "none"}
+    for name, value in (given | {"plot": plot}).items():
+        if value != usual.get(name):
+            raise UsageError(f"--{name} belongs to SAMPLES.usda, not to a picture; leave it out")
 
 
 COMMANDS: tuple[click.Command, ...] = (estimate,)

@@ -32,7 +32,7 @@ _PATH = click.Path(path_type=Path)
     metavar="PART,...",
     help="Parts to show: sensitivities, diffuser, chromaticity, spectra, errors of a camera; "
     "signals, chromaticity, patches, values of a chart; spectrum, chromaticity, picture, classes, "
-    "summary of a light.  [default: all]",
+    "summary of a light; spectra, color, fit, summary of a skin.  [default: all]",
 )
 @click.option(
     "--patches",
@@ -57,7 +57,7 @@ def plot(
     patches: tuple[str, ...] | None,
     classes: tuple[str, ...] | None,
 ) -> None:
-    r"""Draw what is in FILE: a calibrated camera, a colour chart or a spectral light.
+    r"""Draw what is in FILE: a calibrated camera, a colour chart, a spectral light or a skin.
 
     Estimated spectra are solid, measured ones dashed. Needs matplotlib: the extra "plot".
 
@@ -66,6 +66,7 @@ def plot(
         usdskin plot camera.usda -o camera.svg
         usdskin plot camera.usda -o skin.pdf --what spectra --patches "dark skin,light skin"
         usdskin plot light.usda -o light.png
+        usdskin plot skin.usda -o skin.svg
     """
     reporter = Reporter(options)
     from usdskin.plots.step import PlotOptions, plot_file

@@ -164,7 +164,9 @@ def _seen(
             f"{chart.where}: chart:layout is not set, so where the patches are in the picture is "
             f"not known; use one of {', '.join(LAYOUTS)}, or give chart:cameraValues"
         )
-    picture = develop(chart, darkroom.workers, darkroom.scratch, darkroom.progress, notes)
+    # A picture in camera values needs no kernels.
+    workers = darkroom.workers or Workers("cpu", 1)
+    picture = develop(chart, workers, darkroom.scratch, darkroom.progress, notes)
     if chart.corners is None:
         found = find_corners(
             picture.values,

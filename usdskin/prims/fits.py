@@ -82,8 +82,9 @@ def read_skin_fit(prim: Usd.Prim) -> SkinFitRecord | None:
         parameters=parameters,
         values=values["fit:values"],
         covariance=covariance,
+        reflectance_stddev=read_spectrum(prim, "reflectanceStddev"),
+        scattering_stddev=read_spectrum(prim, "scatteringStddev"),
         **{field: values[name] for field, name in _NUMBERS.items()},
-        **{field: read_spectrum(prim, name) for field, name in _SPECTRA.items()},
     )
 
 

@@ -120,6 +120,9 @@ class SkinSamples:
     reflectance_file: Path | None = None
     """An instrument's file of it."""
 
+    reflectance_geometry: str = "di8"
+    """``di8`` or ``45to0``: how the instrument lights and looks."""
+
     specular_included: bool = False
     """Whether the instrument counted what the surface mirrors."""
 
@@ -136,6 +139,7 @@ _FIELDS = {
     "thickness": "samples:thickness",
     "saturation": "samples:saturation",
     "reflectance_file": "samples:reflectance:file",
+    "reflectance_geometry": "samples:reflectance:geometry",
     "specular_included": "samples:reflectance:specularIncluded",
 }
 _VECTORS = {"light": "samples:light", "view": "samples:view", "normal": "samples:normal"}

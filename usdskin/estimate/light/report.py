@@ -205,6 +205,8 @@ def _quality(quality: LightQuality) -> str:
 def _scale(scale: LightScale, is_absolute: bool) -> str:
     if scale.source == "calibration":
         return "the calibration's own" if is_absolute else "relative; no reading gives it"
+    if scale.source == "both":
+        return f"readings of luminance and illuminance, {scale.factor:.4g} times what was recovered"
     unit = "cd/m^2" if scale.source == "luminance" else "lx"
     return (
         f"{scale.source} reading of {scale.reading:.4g} {unit}, {scale.factor:.4g} times what was "

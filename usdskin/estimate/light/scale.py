@@ -18,6 +18,12 @@ FloatArray = NDArray[np.float64]
 _DIFFERENCE = 0.1
 """Relative difference from which a note is made [1]."""
 
+_CLIPPED_SHARE = 0.005
+"""Share of clipped light up to which an illuminance reading counts [1]."""
+
+_COVERAGE = 0.98
+"""Share of the sphere that has to be seen for that [1]."""
+
 
 @dataclass(frozen=True, slots=True)
 class LightScale:
@@ -27,10 +33,10 @@ class LightScale:
     """K, reading over recovered [1]."""
 
     source: str = "calibration"
-    """``luminance``, ``illuminance`` or ``calibration``."""
+    """``luminance``, ``illuminance``, ``both`` or ``calibration``."""
 
     reading: float = 0.0
-    """The reading [cd m^-2 or lx]; 0: none."""
+    """The reading [cd m^-2 or lx], that of luminance where both count; 0: none."""
 
     recovered: float = 0.0
     """What the calibration alone gives there."""
@@ -66,8 +72,11 @@ def find_scale(
 ) -> LightScale:
     """Return the factor that makes the recovered light give what a meter read.
 
-    ``K = L_v / (683 ybar . e)`` with e the spectrum recovered at the spot; without a luminance
-    reading, ``K = E_v / (683 ybar . E)`` with E the recovered spectral irradiance.
+    ``K = L_v / (683 ybar . e)`` with e the spectrum recovered at the spot, or ``K = E_v / (683
+    ybar . E)`` with E the recovered spectral irradiance. Where there are both readings it is their
+    geometric mean: one spot has the recovery's error of one colour, an illuminance that of the
+    mixture. Light that was clipped or not seen is missing in the illuminance; then, and where the
+    two disagree, the luminance alone counts.
 
     Args:
         capture: The readings.
@@ -93,13 +102,18 @@ def find_scale(
             f"capture:{source}:direction"
         )
     scale = LightScale(reading / recovered, source, reading, recovered)
+    if len(given) > 1 and _is_whole(capture) and given[1][2] > 0.0:
+        other_factor = given[1][1] / given[1][2]
+        if abs(other_factor / scale.factor - 1.0) <= _DIFFERENCE:
+            factor = float(np.sqrt(scale.factor * other_factor))
+            scale = LightScale(factor, "both", reading, recovered)
     if is_absolute and abs(scale.factor - 1.0) > _DIFFERENCE:
         notes.append(
             Note(
                 "scale-differs",
                 capture.where,
-                f"the {source} reading is {scale.factor:.3g} times what the calibration alone "
-                "gives; the reading is used, but check exposures, ISO and filters of both",
+                f"the {source} reading is {reading / recovered:.3g} times what the calibration "
+                "alone gives; the reading is used, but check exposures, ISO and filters of both",
             )
         )
     for other, read, shown in given[1:]:
@@ -114,3 +128,11 @@ def find_scale(
                 )
             )
     return scale
+
+
+def _is_whole(capture: CapturedPanorama) -> bool:
+    """Return whether the panorama is known to hold all the light of the place."""
+    clipped, coverage = capture.clipped_share, capture.coverage
+    if clipped is None or coverage is None:
+        return False
+    return clipped <= _CLIPPED_SHARE and coverage >= _COVERAGE

@@ -134,7 +134,9 @@ def _documentation(camera: SpectralCamera, mixture: Mixture, scale: LightScale) 
         f"Spectral light of a captured place, recovered ({estimators}) from camera values by a "
         f"calibration of {camera.model or 'the camera'}. Lamps: {', '.join(mixture.names)}."
     )
-    if scale.source != "calibration":
+    if scale.source == "both":
+        text += " Scaled to readings of luminance and illuminance."
+    elif scale.source != "calibration":
         text += f" Scaled to a reading of {scale.source}."
     return text
 
