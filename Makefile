@@ -18,7 +18,9 @@ PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-
 SOURCES := $(shell find usdskin schemas warp_kernels -name '*.py' -o -name '*.csv' -o -name '*.usda')
 
 PORTRAIT := stages/portrait
-PORTRAIT_LAYERS := $(shell find $(PORTRAIT) \( -name '*.usda' -o -name '*.exr' \) -not -path '*/assets/*' 2>/dev/null)
+LIBRARY := stages/skin_library
+PORTRAIT_LAYERS := $(LIBRARY)/skin_library.usda \
+    $(shell find $(PORTRAIT) \( -name '*.usda' -o -name '*.exr' \) -not -path '*/assets/*' 2>/dev/null)
 PREPARED := $(VENV)/portrait.stamp
 
 render: out/portrait.exr
@@ -30,7 +32,7 @@ out/portrait.exr: $(PREPARED) $(PORTRAIT_LAYERS) $(SOURCES)
 	$(BIN)/usdskin render $(PORTRAIT)/portrait.usda out/portrait.exr
 
 # The head is downloaded once and imported; its files stay out of git.
-$(PREPARED): $(wildcard $(PORTRAIT)/*.py usdskin/meshfiles/*.py) | $(VENV)/installed.stamp
+$(PREPARED): $(wildcard $(PORTRAIT)/*.py $(LIBRARY)/*.py usdskin/meshfiles/*.py) | $(VENV)/installed.stamp
 	$(BIN)/python $(PORTRAIT)/prepare.py
 	@touch $@
 ifeq ($(wildcard $(PORTRAIT)/assets),)

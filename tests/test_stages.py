@@ -25,6 +25,7 @@ from pxr import Usd, UsdGeom, UsdLux
 STAGES = Path(__file__).resolve().parents[1] / "stages"
 SPHERE, FOREARM, PORTRAIT = (STAGES / name / f"{name}.usda" for name in
                              ("sphere", "forearm", "portrait"))  # fmt: skip
+LIBRARY, TONES = (STAGES / name / f"{name}.usda" for name in ("skin_library", "skin_tones"))
 LAMPS = ("fluorescent", "incandescent", "daylight")
 COMMITTED_LIMIT = 300_000
 """Bytes a committed asset may have."""
@@ -65,14 +66,16 @@ def scripts(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "path", [SPHERE, FOREARM, pytest.param(PORTRAIT, marks=prepared)], ids=lambda path: path.stem
+    "path",
+    [SPHERE, FOREARM, LIBRARY, TONES, pytest.param(PORTRAIT, marks=prepared)],
+    ids=lambda path: path.stem,
 )
 def test_a_shipped_stage_has_nothing_to_be_found_in(path):
     assert [str(found) for found in validate(path)] == []
 
 
-@pytest.mark.parametrize("name", ["sphere", "forearm", "portrait"])
-def test_a_shipped_folder_is_small_and_knows_no_other_folder(name):
+@pytest.mark.parametrize("name", ["sphere", "forearm", "portrait", "skin_library", "skin_tones"])
+def test_a_shipped_folder_is_small_and_knows_no_other_but_the_library(name):
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--", f"stages/{name}"],
         cwd=STAGES.parent, capture_output=True, text=True, check=False,
@@ -86,7 +89,8 @@ def test_a_shipped_folder_is_small_and_knows_no_other_folder(name):
     )
     for layer in (file for file in files if file.suffix == ".usda"):
         for asset in re.findall(r"@([^@\n]+)@", layer.read_text("utf-8")):
-            assert asset.startswith("./"), f"{layer}: {asset}"
+            own = asset.startswith("./")
+            assert own or asset == "../skin_library/skin_library.usda", f"{layer}: {asset}"
 
 
 # --- Sphere ------------------------------------------------------------------------------------
@@ -227,16 +231,23 @@ def test_the_rgb_rendition_is_the_spectral_light_seen_by_the_observer(lamp):
     assert (shares @ light.basis).min() >= 0.0
 
 
-@prepared
-def test_committed_skin_is_what_its_script_makes(scripts):
-    folder = PORTRAIT.parent
-    skin = scripts("portrait", "make_skin")
-    stage = Usd.Stage.Open(str(folder / "skin.usda"))
-    found = read_skin(stage.GetDefaultPrim())
-    np.testing.assert_allclose(found.scattering.value, skin.scattering(), atol=1e-6)
-    spread = found.alpha * (1.0 + (1.0 + found.wrap) * found.scattering.value)
+def test_the_portrait_s_skin_is_a_tone_of_the_library(scripts):
+    """All of it but the spectra that the face is mixed of, which add up to that tone."""
     complexion = scripts("portrait", "complexion")
-    np.testing.assert_allclose(found.weights_basis * spread, complexion.basis(), atol=3e-6)
+    make_skin = scripts("portrait", "make_skin")
+    stage = open_stage(PORTRAIT.parent / "skin.usda")
+    found = read_skin(stage.GetDefaultPrim())
+    np.testing.assert_allclose(
+        found.weights_basis, make_skin.weights_basis().reshape(4, -1), atol=2e-6
+    )
+    library = open_stage(LIBRARY)
+    library.GetDefaultPrim().GetVariantSet("tone").SetVariantSelection(complexion.TONE)
+    tone = read_skin(library.GetDefaultPrim())
+    np.testing.assert_array_equal(found.scattering.value, tone.scattering.value)
+    assert (found.alpha, found.specular_weight) == (tone.alpha, tone.specular_weight)
+    plain = np.array([[complexion.MELANIN], [complexion.BLOOD], [0.0], [0.0]])
+    mixed = complexion.weights(*plain) @ found.weights_basis
+    np.testing.assert_allclose(mixed[0], tone.reflectance.value, atol=0.012)
 
 
 def test_committed_lights_and_textures_are_what_the_scripts_make(scripts):
@@ -270,21 +281,21 @@ def test_committed_lights_and_textures_are_what_the_scripts_make(scripts):
     np.testing.assert_allclose(read_spectral_light(room).basis, lamps.basis(), rtol=1e-5)
 
 
-def test_the_skin_of_the_portrait_is_a_plausible_human_skin(scripts):
-    """Bands of haemoglobin at 542 and 577 nm; light skin 0.25-0.35 at 550 nm and 0.5-0.6 at
-    650 nm (ISSA, specular component removed, has 0.07-0.37 at 550 nm)."""
-    spectra = scripts("portrait", "skin_spectra")
-    make_skin = scripts("portrait", "make_skin")
+def test_the_skin_of_the_library_is_a_plausible_human_skin(scripts):
+    """Bands of haemoglobin at 542 and 577 nm; skin of ITA 28 to 41 has about 0.25 at 550 nm and
+    0.45 at 650 nm (medians of ISSA, specular component removed: 0.24 and 0.46)."""
+    spectra = scripts("skin_library", "skin_spectra")
+    pigments = scripts("skin_library", "make_library").TONES["tone3"]
     nm = np.arange(500.0, 651.0, 1.0)
     oxygenated = spectra.Pigments(0.02, 0.014, 1.0)
     value = spectra.reflectance(nm, oxygenated)
     dips = nm[1:-1][(value[1:-1] < value[:-2]) & (value[1:-1] < value[2:])]
     assert dips == pytest.approx([542.0, 576.0], abs=3.0)
-    at_550, at_650 = spectra.reflectance([550.0, 650.0], make_skin.MEAN)
-    assert 0.2 < at_550 < 0.35 and 0.45 < at_650 < 0.6
-    more_blood = spectra.reflectance([450.0, 550.0, 700.0], spectra.Pigments(0.02, 0.03))
-    assert (more_blood < spectra.reflectance([450.0, 550.0, 700.0], make_skin.MEAN)).all()
-    scattering = make_skin.scattering()
+    at_550, at_650 = spectra.reflectance([550.0, 650.0], pigments)
+    assert 0.2 < at_550 < 0.3 and 0.4 < at_650 < 0.5
+    more_blood = spectra.reflectance([450.0, 550.0, 700.0], spectra.Pigments(0.0595, 0.03))
+    assert (more_blood < spectra.reflectance([450.0, 550.0, 700.0], pigments)).all()
+    scattering = spectra.scattering(spectra.WAVELENGTH_NM, pigments)
     assert scattering[-1] > 2.0 * scattering[0]
 
 

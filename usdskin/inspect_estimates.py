@@ -153,7 +153,7 @@ def _at_shown(spectrum: Any, stddev: Any) -> str | None:
 
 
 def _facing(skin: Any) -> Row:
-    """Return L*, a*, b* and ITA of the skin facing a light of D65."""
+    """Return L*, a*, b* and ITA under D65, as an integrating sphere reads them (SCI)."""
     import numpy as np
 
     from usdskin.colorimetry import illuminant, xyz_to_lab, xyz_weights
@@ -164,9 +164,10 @@ def _facing(skin: Any) -> Row:
     grid = DEFAULT_WAVELENGTHS_NM
     spread = 0.0 if skin.scattering is None else skin.scattering.resample(grid)
     weights = illuminant("D65", grid)[:, None] * xyz_weights(grid)
-    lit = skin.alpha * skin.reflectance.resample(grid) * (1.0 + spread)
+    gain = 1.0 if skin.wrap_normalization == "energy" else 1.0 + skin.wrap
+    lit = skin.alpha * skin.reflectance.resample(grid) * (1.0 + gain * spread) + skin.f0
     lightness, a, b = xyz_to_lab(lit @ weights, weights.sum(axis=0))
     return {
-        "L*a*b* (D65)": f"{lightness:.1f} {a:.1f} {b:.1f}",
+        "L*a*b* (D65, SCI)": f"{lightness:.1f} {a:.1f} {b:.1f}",
         "ITA [deg]": round(float(np.degrees(np.arctan2(lightness - 50.0, b))), 1),
     }

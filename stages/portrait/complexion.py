@@ -1,7 +1,7 @@
 """The skin's pigments over the head, as weights of a few spectra.
 
-Every texel gets a fraction of melanin and of blood; ``skin_spectra`` makes a reflectance of them,
-and the weights are those of the basis whose sum is nearest to it.
+Every texel gets a fraction of melanin and of blood; the library's ``skin_spectra`` makes a
+reflectance of them, and the weights are those of the basis whose sum is nearest to it.
 """
 
 from __future__ import annotations
@@ -11,22 +11,28 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 from bake import workers
+from library import TONES, WAVELENGTH_NM, Pigments, reflectance
 from numpy.typing import NDArray
-from skin_spectra import WAVELENGTH_NM, Pigments, reflectance
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
-MELANIN, BLOOD = 0.023, 0.0135
-"""Fractions of the cheek's plain skin [1]."""
+TONE = "tone3"
+"""The library's skin that the cheek's plain skin is."""
+
+MELANIN, BLOOD = TONES[TONE].melanin, TONES[TONE].blood
+"""Its fractions [1]."""
+
+LIPS_SCATTERING = 0.35
+"""Scattering of their epidermis relative to that of other skin's [1]."""
 
 CORNERS = (
-    Pigments(0.012, 0.006),
-    Pigments(0.012, 0.080),
-    Pigments(0.050, 0.020),
-    Pigments(0.550, 0.010),
+    Pigments(0.020, 0.006),
+    Pigments(0.020, 0.080, epidermis_scattering=0.0),
+    Pigments(0.100, 0.020),
+    Pigments(0.550, 0.010, epidermis_scattering=0.0),
 )
-"""Skins whose spectra are the basis: pale, flushed, tanned, and hair."""
+"""Skins whose spectra are the basis: pale, lips, tanned, and hair, which only absorbs."""
 
 
 def basis() -> FloatArray:
@@ -165,8 +171,8 @@ def brow(position: NDArray, marks: Landmarks) -> NDArray:
     return smooth(1.25, 0.35, across) * ends * (position[:, 2] > marks.eyes[2] - 0.03)
 
 
-def pigments(texels: Texels, marks: Landmarks) -> tuple[NDArray, NDArray, NDArray]:
-    """Return melanin and blood fractions, and the share that is hair, shape [texel_count] each."""
+def pigments(texels: Texels, marks: Landmarks) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Return melanin and blood fractions and the shares of hair and lips, [texel_count] each."""
     p = texels.position
     eye = (p - marks.eyes.astype(np.float32)) / np.float32(marks.half_gap)
     side = np.abs(eye[:, 0])
@@ -186,10 +192,10 @@ def pigments(texels: Texels, marks: Landmarks) -> tuple[NDArray, NDArray, NDArra
     veins = noise(p, 0.009, 2, 13)
 
     blood = np.full(len(p), BLOOD, np.float32)
-    blood *= np.exp(0.34 * mottle + 0.26 * fine)
-    blood *= 1.0 + 0.6 * spot(1.25, -1.15, 0.75, 0.6)
+    blood *= np.exp(0.40 * mottle + 0.30 * fine)
+    blood *= 1.0 + 0.9 * spot(1.25, -1.15, 0.75, 0.6)
     nose = np.exp(-((np.linalg.norm(p - marks.nose_tip.astype(np.float32), axis=1) / 0.017) ** 2))
-    blood *= 1.0 + 0.75 * nose
+    blood *= 1.0 + 1.0 * nose
     blood *= 1.0 + 1.2 * mark("ears")
     blood *= 1.0 + 0.7 * mark("eyelids")
     blood *= 1.0 + 0.25 * spot(0.95, -0.55, 0.55, 0.22)
@@ -198,20 +204,20 @@ def pigments(texels: Texels, marks: Landmarks) -> tuple[NDArray, NDArray, NDArra
     blood *= 1.0 + 0.2 * smooth(1.50, 1.42, p[:, 1])
     lips = smooth(0.15, 0.95, mark("lips") + 0.12 * fine)
     lines = noise(p * np.float32([1.0, 0.12, 0.12]), 0.0011, 2, 14)
-    blood += lips * (0.042 * np.exp(0.35 * lines + 0.25 * mottle) - blood)
+    blood += lips * (0.046 * np.exp(0.35 * lines + 0.25 * mottle) - blood)
     blood += mark("inside-mouth") * 0.08
 
     melanin = np.full(len(p), MELANIN, np.float32)
     melanin *= np.exp(0.18 * noise(p, 0.03, 3, 21) + 0.13 * fine)
     melanin *= 1.0 + 0.22 * spot(0.95, -0.6, 0.5, 0.25) + 0.15 * mark("eyelids")
     melanin *= 1.0 + 0.15 * spot(0.0, 2.2, 2.5, 0.8)
-    melanin *= 1.0 + lips * (0.05 + 0.22 * lines)
+    melanin *= 1.0 - lips * (0.45 - 0.1 * lines)
     freckle = smooth(0.42, 0.62, noise(p, 0.0030, 1, 22)) * smooth(-0.3, 0.6, veins)
     melanin *= 1.0 + 1.1 * freckle * (spot(1.0, -0.9, 1.1, 0.5) + 0.25 * spot(0.0, -0.6, 0.7, 0.6))
     mole = smooth(0.66, 0.74, noise(p, 0.0055, 1, 37))
     melanin *= 1.0 + 2.0 * mole * front
 
-    return melanin, blood, hair_share(texels, marks)
+    return melanin, blood, hair_share(texels, marks), lips
 
 
 def creases(position: Float32Array, marks: Landmarks) -> NDArray:
@@ -245,26 +251,36 @@ def hair_share(texels: Texels, marks: Landmarks) -> NDArray:
     return np.clip(share, 0.0, 0.95)
 
 
-def weights(melanin: NDArray, blood: NDArray, hair: NDArray) -> Float32Array:
-    """Return the weights of ``basis()`` for pigments, shape [texel_count, 4]."""
-    spectra = basis()
-    melanin_at = np.geomspace(0.004, 0.2, 24)
+def weights(melanin: NDArray, blood: NDArray, hair: NDArray, lips: NDArray) -> Float32Array:
+    """Return the weights of ``basis()`` for pigments, shape [texel_count, 4].
+
+    The epidermis of lips has hardly any horn and is taken to be clearer.
+    """
+    melanin_at = np.geomspace(0.006, 0.3, 24)
     blood_at = np.geomspace(0.002, 0.2, 24)
-    table = np.array(
-        [[reflectance(WAVELENGTH_NM, Pigments(m, b)) for b in blood_at] for m in melanin_at]
-    )
-    fitted = np.linalg.lstsq(spectra.T, table.reshape(-1, table.shape[2]).T, rcond=None)[0]
-    fitted = fitted.T.reshape(24, 24, 4).astype(np.float32)
 
-    def position(value: NDArray, at: NDArray) -> tuple[NDArray, NDArray]:
-        place = np.interp(np.log(value), np.log(at), np.arange(24.0))
-        whole = np.clip(place.astype(np.int32), 0, 22)
-        return whole, (place - whole).astype(np.float32)[:, None]
+    def place(value: NDArray, at: NDArray) -> tuple[NDArray, NDArray]:
+        found = np.interp(np.log(value), np.log(at), np.arange(24.0))
+        whole = np.clip(found.astype(np.int32), 0, 22)
+        return whole, (found - whole).astype(np.float32)[:, None]
 
-    i, u = position(melanin, melanin_at)
-    j, v = position(blood, blood_at)
-    found = (fitted[i, j] * (1 - u) + fitted[i + 1, j] * u) * (1 - v) + (
-        fitted[i, j + 1] * (1 - u) + fitted[i + 1, j + 1] * u
-    ) * v
+    i, u = place(melanin, melanin_at)
+    j, v = place(blood, blood_at)
+
+    def mixed(epidermis_scattering: float) -> NDArray:
+        table = _fitted(melanin_at, blood_at, epidermis_scattering)
+        low = table[i, j] * (1 - u) + table[i + 1, j] * u
+        return low * (1 - v) + (table[i, j + 1] * (1 - u) + table[i + 1, j + 1] * u) * v
+
+    part = lips.astype(np.float32)[:, None]
+    found = mixed(1.0) * (1.0 - part) + mixed(LIPS_SCATTERING) * part
     share = hair.astype(np.float32)[:, None]
     return found * (1.0 - share) + np.float32([0.0, 0.0, 0.0, 1.0]) * share
+
+
+def _fitted(melanin_at: FloatArray, blood_at: FloatArray, scattering: float) -> Float32Array:
+    """Return the weights nearest to skins with each pair of fractions, shape [m, b, 4]."""
+    skins = [Pigments(m, b, epidermis_scattering=scattering) for m in melanin_at for b in blood_at]
+    table = np.array([reflectance(WAVELENGTH_NM, skin) for skin in skins])
+    found = np.linalg.lstsq(basis().T, table.T, rcond=None)[0]
+    return found.T.reshape(len(melanin_at), len(blood_at), 4).astype(np.float32)

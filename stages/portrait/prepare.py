@@ -22,6 +22,7 @@ import complexion
 import eyes
 import fetch
 import hair
+import library
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -138,9 +139,9 @@ def is_current(occluded: bool) -> bool:
 
 
 def _inputs(occluded: bool) -> dict[str, str]:
-    scripts = {path.name: _digest(path) for path in sorted(FOLDER.glob("*.py"))}
+    scripts = [*FOLDER.glob("*.py"), *library.LIBRARY.glob("*.py")]
     return {
-        **scripts,
+        **{path.name: _digest(path) for path in sorted(scripts)},
         "occluded": str(occluded),
         "wheel": fetch.WHEEL_SHA256,
         "usdskin": __version__,
