@@ -12,10 +12,18 @@ from chart_layers import GRID, seen_chart, sensitivity, write_chart
 from numpy.typing import NDArray
 
 from usdskin.cli import main
-from usdskin.colorimetry import xyz_weights
+from usdskin.colorimetry import (
+    cat16,
+    decode_srgb,
+    encode_srgb,
+    white_xyz,
+    xyz_to_rgb,
+    xyz_weights,
+)
 from usdskin.differences import delta_e_of_signals
 from usdskin.estimate.skin.prior import shipped_prior
 from usdskin.illuminants import illuminant
+from usdskin.images import read_image, write_png
 from usdskin.layers import open_stage, write_layer
 from usdskin.prims import (
     SkinParameters,
@@ -347,3 +355,60 @@ def test_a_layer_without_samples_says_so(tmp_path, capsys):
     layer = tmp_path / "samples.usda"
     layer.write_text('#usda 1.0\n(upAxis = "Y"\nmetersPerUnit = 1)\ndef Scope "A" {}\n')
     assert "SkinSampleAPI" in refused(capsys, layer)
+
+
+# --- Textures ------------------------------------------------------------------------------------
+
+
+def write_albedo(path: Path) -> FloatArray:
+    """Write a small picture of skin colors; return their linear values."""
+    random = np.random.default_rng(3)
+    linear = np.array([0.5, 0.3, 0.22]) * random.uniform(0.3, 1.0, (6, 8, 1))
+    linear = linear * random.uniform(0.92, 1.08, (6, 8, 3))
+    encoded = np.round(255.0 * encode_srgb(linear)).astype(np.uint8)
+    write_png(path, encoded)
+    return np.asarray(decode_srgb(encoded / 255.0))
+
+
+@pytest.mark.parametrize("like", [False, True])
+def test_an_albedo_gets_the_spectra_of_skin_with_its_very_colors(tmp_path, like):
+    linear = write_albedo(tmp_path / "albedo.png")
+    options = []
+    if like:
+        assert estimate(write_samples(tmp_path, spectral_samples()))[0] == 0
+        (tmp_path / "skin.usda").rename(tmp_path / "measured.usda")
+        options = ["--like", str(tmp_path / "measured.usda")]
+    status, output = estimate(tmp_path / "albedo.png", *options)
+    assert status == 0
+    skin = skin_of(output)
+    weights = read_image(skin.weights_file).pixels.astype(np.float64)
+    spread = skin.scattering.resample(GRID)
+    even = skin.alpha * (1.0 + (1.0 + skin.wrap) * spread)
+    spectra = weights @ skin.weights_basis * even
+    assert spectra.min() >= -0.01
+    light = illuminant("D65", GRID)[:, None] * xyz_weights(GRID)
+    light /= light[:, 1].sum()
+    space = "lin_rec709_scene"
+    to_rgb = xyz_to_rgb(space) @ cat16(light.sum(axis=0), white_xyz(space))
+    np.testing.assert_allclose(spectra @ light @ to_rgb.T, linear, atol=1e-3)
+    if like:
+        assert skin.wrap == pytest.approx(skin_of(tmp_path / "measured.usda").wrap)
+
+
+def test_an_albedo_is_a_material_that_other_tools_see_too(tmp_path):
+    write_albedo(tmp_path / "albedo.png")
+    _, output = estimate(tmp_path / "albedo.png")
+    assert main(["-q", "validate", str(output)]) == 0
+    stage = open_stage(output)
+    texture = stage.GetPrimAtPath("/Skin/albedo").GetAttribute("inputs:file").Get()
+    assert texture.path == "./albedo.png"
+
+
+def test_options_of_a_fit_do_not_go_with_a_texture(tmp_path, capsys):
+    write_albedo(tmp_path / "albedo.png")
+    assert "--wrap" in refused(capsys, tmp_path / "albedo.png", "--wrap", "0.3", code=2)
+
+
+def test_a_texture_that_is_no_picture_is_refused(tmp_path, capsys):
+    (tmp_path / "albedo.png").write_bytes(b"no picture")
+    assert "albedo.png" in refused(capsys, tmp_path / "albedo.png")
