@@ -1,6 +1,6 @@
 """Draw the figure of a layer.
 
-Reads:  ``camera.usda``, ``chart.usda`` or ``light.usda``, and the files they name.
+Reads:  ``camera.usda``, ``chart.usda``, ``light.usda`` or ``skin.usda``, and the files they name.
 Writes: one figure, ``.svg``, ``.png`` or ``.pdf``.
 """
 
@@ -20,6 +20,9 @@ from usdskin.plots.figures import figure_format, save_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_OTHERS = ("SpectralCameraAPI", "ColorChartAPI", "SpectralLightAPI")
+"""What a layer is drawn for where its default prim is no skin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +45,7 @@ def plot_file(
     """Draw what is in a layer.
 
     Args:
-        path: Layer with a calibrated camera, a colour chart or a spectral light.
+        path: Layer with a calibrated camera, a colour chart, a spectral light or a skin.
         output: Figure to write, ``.svg``, ``.png`` or ``.pdf``.
         options: What to show.
         notes: Takes what could not be drawn; without a list that is an error.
@@ -72,7 +75,8 @@ def _draw(
     path: Path, stage: Usd.Stage, options: PlotOptions, notes: list[Note] | None
 ) -> tuple[Figure, list[Path]]:
     """Return the figure of what a stage holds, and the pictures it was drawn from."""
-    if _with_schema(stage, "SpectralCameraAPI"):
+    skin = _skin_prim(path, stage)
+    if skin is None and _with_schema(stage, "SpectralCameraAPI"):
         from usdskin.plots.camera import draw_camera
         from usdskin.prims import read_spectral_camera
 
@@ -83,6 +87,11 @@ def _draw(
     for name, given in (("--patches", options.patches), ("--class", options.classes)):
         if given:
             raise UsageError(f"{name}: chooses what the figure of a camera shows; {path} has none")
+    if skin is not None:
+        from usdskin.plots.skin import draw_skin
+        from usdskin.plots.skins import read_drawn_skin
+
+        return draw_skin(read_drawn_skin(skin, notes), notes, what=options.what), []
     if _with_schema(stage, "ColorChartAPI"):
         from usdskin.plots.chart import draw_chart
         from usdskin.plots.charts import read_chart_figure
@@ -104,6 +113,22 @@ def _with_schema(stage: Usd.Stage, schema: str) -> list[Usd.Prim]:
     return [prim for prim in stage.Traverse() if prim.HasAPI(schema)]
 
 
+def _skin_prim(path: Path, stage: Usd.Stage) -> Usd.Prim | None:
+    """Return the skin that a layer is about: its default prim, or one where nothing else is."""
+    skins = _with_schema(stage, "SkinMaterialAPI")
+    default = stage.GetDefaultPrim()
+    if default and default in skins:
+        return default
+    if not skins or any(_with_schema(stage, schema) for schema in _OTHERS):
+        return None
+    if len(skins) > 1:
+        raise LayerError(
+            f"{path}: several materials have SkinMaterialAPI ({_listed(skins)}); draw the layer of "
+            "one of them, or set defaultPrim"
+        )
+    return skins[0]
+
+
 def _light_prim(path: Path, stage: Usd.Stage) -> Usd.Prim:
     lights = _with_schema(stage, "SpectralLightAPI")
     default = stage.GetDefaultPrim()
@@ -111,8 +136,8 @@ def _light_prim(path: Path, stage: Usd.Stage) -> Usd.Prim:
         return default
     if not lights:
         raise LayerError(
-            f"{path}: has no calibrated camera, no colour chart and no spectral light; "
-            "`usdskin calibrate camera` and `usdskin estimate light` write what can be drawn"
+            f"{path}: has no calibrated camera, no colour chart and no spectral light or skin; "
+            "`usdskin calibrate` and `usdskin estimate` write what can be drawn"
         )
     if len(lights) > 1:
         raise LayerError(

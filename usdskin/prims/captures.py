@@ -117,6 +117,9 @@ class Shot:
     bracket: ExposureBracket
     """The photographs."""
 
+    lens: FisheyeLens | None = None
+    """Its projection, where it is a calibrated fisheye."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
@@ -319,7 +322,8 @@ def read_shot(prim: Usd.Prim) -> Shot:
         LayerError: An opinion is missing or cannot be used.
     """
     check_applied_schemas(prim)
-    return Shot(name=prim.GetName(), where=describe(prim), bracket=read_bracket(prim))
+    lens = read_lens(prim) if prim.HasAPI("FisheyeCameraAPI") else None
+    return Shot(prim.GetName(), describe(prim), read_bracket(prim), lens)
 
 
 def read_lens(prim: Usd.Prim) -> FisheyeLens:

@@ -92,6 +92,12 @@ def open_pictures(
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:
         raise LayerError(f'{samples.where}: two views are called "{twice}"; rename one')
+    fisheye = next((view for view in samples.views if view.lens is not None), None)
+    if fisheye is not None:
+        raise LayerError(
+            f"{fisheye.where}: has FisheyeCameraAPI, but its geometry is rendered without "
+            "distortion; undistort the photographs and take the schema off"
+        )
     responses = find_responses(_Views(samples.views), scratch, notes)
     for view in samples.views:
         merged = merge_bracket(view, workers, scratch, responses.get(view.name), progress, notes)
