@@ -20,7 +20,7 @@ from typing import Any
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdMedia, UsdUtils, Vt
 
 from usdskin import __version__
-from usdskin.errors import LayerError
+from usdskin.errors import LayerError, UsageError
 from usdskin.notes import Note
 from usdskin.schemas import ensure_registered
 
@@ -215,8 +215,46 @@ def write_layer(source: Sdf.Layer | Usd.Stage, path: str | Path) -> Path:
         ) from None
     finally:
         temporary.unlink(missing_ok=True)
-    _reload_open_copy(layer, path)
+    if layer.realPath != str(path.resolve()):
+        reload_open_copy(path)
     return path
+
+
+def check_output(
+    output: Path, inputs: Iterable[Path], beside: Iterable[Path] = (), *, step: str
+) -> None:
+    """Refuse an output that would fail after the work is done, or destroy an input.
+
+    Args:
+        output: Layer to write.
+        inputs: Files the step reads.
+        beside: Files that will be written beside the layer.
+        step: What the step is called in the message, such as ``capture``.
+
+    Raises:
+        LayerError: The name is no layer's, or the folder is missing.
+        UsageError: The layer, or a file beside it, is an input.
+    """
+    if output.suffix not in _LAYER_SUFFIXES:
+        raise LayerError(f"{output}: cannot write this kind of file; end its name in .usda")
+    if not output.parent.is_dir():
+        raise LayerError(f"{output}: the folder {output.parent} does not exist; create it first")
+    taken = {path.resolve() for path in inputs}
+    for path in (output, *beside):
+        if path.resolve() in taken:
+            raise UsageError(f"{path}: is an input of this {step}; write to another name or folder")
+
+
+def used_files(stage: Usd.Stage) -> list[Path]:
+    """Return the files of a stage's layers, in memory ones left out."""
+    return [Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath]
+
+
+def reload_open_copy(path: Path) -> None:
+    """Bring a copy of a layer that this process has open up to date with its file."""
+    opened = Sdf.Layer.Find(str(path.resolve()))
+    if opened is not None:
+        opened.Reload(True)
 
 
 def _export(layer: Sdf.Layer, temporary: Path, path: Path) -> None:
@@ -232,13 +270,6 @@ def _export(layer: Sdf.Layer, temporary: Path, path: Path) -> None:
         raise LayerError(
             f"{path}: cannot be written; check the folder's permissions and free space"
         )
-
-
-def _reload_open_copy(layer: Sdf.Layer, path: Path) -> None:
-    """Bring a copy that this process has open up to date with the file."""
-    opened = Sdf.Layer.Find(str(path.resolve()))
-    if opened is not None and opened != layer:
-        opened.Reload(True)
 
 
 def sha256(path: Path) -> str:

@@ -9,7 +9,6 @@ Writes: ``capture.usda``, which stands alone beside its pictures. Its prims::
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,12 +21,12 @@ from usdskin import __version__
 from usdskin.capture.quality.measure import Measured, PlacedView
 from usdskin.capture.quality.picture import quality_picture
 from usdskin.capture.views.panorama import Panorama, footprint
-from usdskin.errors import LayerError
 from usdskin.images import Part, write_exr, write_png
 from usdskin.latlong import latlong_from_world
-from usdskin.layers import record_provenance, write_layer
+from usdskin.layers import record_provenance, reload_open_copy, write_layer
 from usdskin.prims import Shoot, write_lens, write_rotation
 from usdskin.prims.writing import write_schema
+from usdskin.replacing import replace_all
 
 # isort: split
 # After ours, which register the schemas.
@@ -99,13 +98,8 @@ def publish(publication: Publication, output: Path, scratch: Path) -> tuple[Path
     stage = _layer(publication, output.parent, panorama.name, stddev.name)
     write_layer(stage, scratch / output.name)
     written = (output, panorama, stddev, quality)
-    for path in reversed(written):
-        try:
-            os.replace(scratch / path.name, path)
-        except OSError as error:
-            raise LayerError(
-                f"{path}: cannot be written ({error.strerror}); check the folder's permissions"
-            ) from None
+    replace_all(scratch, written)
+    reload_open_copy(output)
     return written
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import os
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,16 +28,17 @@ from usdskin.capture.quality.report import CaptureReport
 from usdskin.capture.views.align import Alignment, align_views, reduce_view
 from usdskin.capture.views.panorama import Compositor, Panorama
 from usdskin.device import Workers, open_workers
-from usdskin.errors import LayerError, UsageError
+from usdskin.errors import UsageError
 from usdskin.fisheye import check_lens, scaled
 from usdskin.latlong import latlong_from_world
-from usdskin.layers import open_stage
+from usdskin.layers import check_output, open_stage, used_files
 from usdskin.notes import Note
 from usdskin.photographs.development import find_responses
 from usdskin.photographs.glare import subtract_glare
 from usdskin.photographs.merge import MergedView, MergeReport, merge_bracket
 from usdskin.prims import FisheyeLens, Shoot, View, read_shoot
 from usdskin.progress import Progress, SilentProgress
+from usdskin.replacing import scratch_beside
 
 FloatArray = NDArray[np.float64]
 
@@ -121,10 +121,11 @@ def capture_shoot(
     clock = _Clock()
     stage = open_stage(shoot, notes)
     described = _with_glare(read_shoot(stage), options.glare)
-    layers = [Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath]
-    _check_output(output, layers, described)
+    layers = used_files(stage)
+    photographs = [image for view in described.views for image in view.bracket.images]
+    check_output(output, [*layers, *photographs], output_files(output), step="capture")
     workers = open_workers(options.device, options.threads)
-    with _scratch(output) as scratch:
+    with scratch_beside(output) as scratch:
         placed, panorama, alignment = _compose(
             described, options, workers, scratch, progress, notes, clock
         )
@@ -164,34 +165,6 @@ def _with_glare(shoot: Shoot, glare: float | None) -> Shoot:
         shoot,
         views=tuple(replace(view, lens=replace(view.lens, glare=glare)) for view in shoot.views),
     )
-
-
-def _check_output(output: Path, layers: list[Path], shoot: Shoot) -> None:
-    """Refuse what would fail after minutes of work, or destroy an input."""
-    if output.suffix not in (".usda", ".usdc", ".usd"):
-        raise LayerError(f"{output}: cannot write this kind of file; end its name in .usda")
-    if not output.parent.is_dir():
-        raise LayerError(f"{output}: the folder {output.parent} does not exist; create it first")
-    inputs = {path.resolve() for path in layers}
-    inputs |= {image.resolve() for view in shoot.views for image in view.bracket.images}
-    for path in (output, *output_files(output)):
-        if path.resolve() in inputs:
-            raise UsageError(
-                f"{path}: is an input of this capture; write to another name or folder"
-            )
-
-
-@contextmanager
-def _scratch(output: Path) -> Iterator[Path]:
-    """Make a folder on the output's file system, gone in the end whatever happens."""
-    try:
-        folder = tempfile.TemporaryDirectory(prefix=f".{output.stem}.", dir=output.parent)
-    except OSError as error:
-        raise LayerError(
-            f"{output.parent}: cannot be written to ({error.strerror}); choose another folder"
-        ) from None
-    with folder as name:
-        yield Path(name)
 
 
 class _Clock:

@@ -8,7 +8,6 @@ Writes: ``camera.usda`` (``SpectralCameraAPI``, ``SpectralRecoveryAPI:<class>``)
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +22,7 @@ from usdskin.errors import LayerError, UsageError
 from usdskin.estimate.chart.layouts import LAYOUTS
 from usdskin.estimate.patches import Darkroom, UsedPatches, read_patches
 from usdskin.estimate.recovery import Training, estimate_responsivity, in_one_unit, recover
-from usdskin.layers import open_stage, record_provenance, write_layer
+from usdskin.layers import check_output, open_stage, record_provenance, used_files, write_layer
 from usdskin.notes import Note
 from usdskin.prims import (
     ColorChart,
@@ -33,6 +32,7 @@ from usdskin.prims import (
     write_spectral_camera,
 )
 from usdskin.progress import Progress, SilentProgress
+from usdskin.replacing import scratch_beside
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM, SpectralQuantity, Spectrum
 
 # isort: split
@@ -113,7 +113,7 @@ def calibrate_camera(
     notes: list[Note] = []
     began = time.perf_counter()
     described, layers = _read_charts(charts, notes)
-    _check_output(output, layers)
+    check_output(output, layers, step="calibration")
     _check_together(described, options)
     grid = DEFAULT_WAVELENGTHS_NM
     used = _used(described, grid, output, options, progress or SilentProgress(), notes)
@@ -137,17 +137,8 @@ def _read_charts(
     for path in paths:
         stage = open_stage(path, notes)
         charts += read_color_charts(stage)
-        layers += [Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath]
+        layers += used_files(stage)
     return charts, list(dict.fromkeys(layers))
-
-
-def _check_output(output: Path, layers: list[Path]) -> None:
-    if output.suffix not in (".usda", ".usdc", ".usd"):
-        raise LayerError(f"{output}: cannot write this kind of file; end its name in .usda")
-    if not output.parent.is_dir():
-        raise LayerError(f"{output}: the folder {output.parent} does not exist; create it first")
-    if output.resolve() in {path.resolve() for path in layers}:
-        raise UsageError(f"{output}: is an input of this calibration; write to another name")
 
 
 _SETTINGS = {
@@ -200,14 +191,8 @@ def _used(
         workers = open_workers(options.device, options.threads)
     if options.corners is not None:
         charts = [replace(chart, corners=options.corners) for chart in charts]
-    try:
-        scratch = tempfile.TemporaryDirectory(prefix=f".{output.stem}.", dir=output.parent)
-    except OSError as error:
-        raise LayerError(
-            f"{output.parent}: cannot be written to ({error.strerror}); choose another folder"
-        ) from None
-    with scratch as folder:
-        darkroom = Darkroom(workers, Path(folder), progress)
+    with scratch_beside(output) as folder:
+        darkroom = Darkroom(workers, folder, progress)
         return tuple(
             read_patches(chart, grid, darkroom, options.excluded, notes) for chart in charts
         )

@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from usdskin.colorimetry import cat16, rgb_to_xyz, white_xyz
 from usdskin.errors import UsageError, UsdSkinError
 from usdskin.estimate.light.environment import BadPixels, Environment, read_environment
-from usdskin.estimate.light.layer import Background, check_output
+from usdskin.estimate.light.layer import Background
 from usdskin.estimate.light.light_map import LightMap, rows_per_block
 from usdskin.estimate.light.maps import Form, map_files
 from usdskin.estimate.light.publish import Clock, LightResult, publish_light
 from usdskin.estimate.light.totals import Readings, add_up
 from usdskin.illuminants import illuminant
+from usdskin.layers import check_output
 from usdskin.meters import flux
 from usdskin.notes import Note
 from usdskin.progress import Progress, SilentProgress
@@ -95,7 +96,7 @@ def assign_light(
     lamp_file = Path(options.illuminant) if Path(options.illuminant).is_file() else None
     inputs = [environment, *([lamp_file] if lamp_file is not None else [])]
     files = map_files(output, options.form, is_mixed=False)
-    check_output(output, files, inputs)
+    check_output(output, inputs, files.paths(), step="estimate")
     grid = DEFAULT_WAVELENGTHS_NM if options.wavelength_nm is None else options.wavelength_nm
     lamp = _lamp(options.illuminant, lamp_file, grid, notes)
     name = options.illuminant if lamp_file is None else lamp_file.name

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.errors import LayerError, UsageError
 from usdskin.estimate.light.light_map import LightMap
 from usdskin.estimate.light.maps import MapFiles
 from usdskin.estimate.light.scale import LightScale
@@ -31,8 +30,6 @@ from usdskin.prims import (
 # isort: split
 # After ours, which register the schemas.
 from pxr import Usd, UsdGeom, UsdLux
-
-_SUFFIXES = (".usda", ".usdc", ".usd")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,23 +65,6 @@ class Background:
 
     illuminant: str = ""
     """The lamp that was assigned."""
-
-
-def check_output(output: Path, files: MapFiles, inputs: Sequence[Path]) -> None:
-    """Refuse an output that would fail after the work, or destroy an input.
-
-    Raises:
-        LayerError: The output has no layer's name, or its folder is missing.
-        UsageError: It, or a picture beside it, is an input.
-    """
-    if output.suffix not in _SUFFIXES:
-        raise LayerError(f"{output}: cannot write this kind of file; end its name in .usda")
-    if not output.parent.is_dir():
-        raise LayerError(f"{output}: the folder {output.parent} does not exist; create it first")
-    taken = {path.resolve() for path in inputs}
-    for path in (output, *files.paths()):
-        if path.resolve() in taken:
-            raise UsageError(f"{path}: is an input of this light; write to another name or folder")
 
 
 def write_light_layer(

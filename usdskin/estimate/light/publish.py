@@ -8,14 +8,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from pxr import Sdf
-
 from usdskin.estimate.light.layer import Background, write_light_layer
 from usdskin.estimate.light.light_map import LightMap
 from usdskin.estimate.light.maps import Form, MapFiles, write_maps
 from usdskin.estimate.light.report import LightReport
 from usdskin.estimate.light.summary import report_light
 from usdskin.estimate.light.totals import Totals
+from usdskin.layers import reload_open_copy
 from usdskin.notes import Note
 from usdskin.progress import Progress
 from usdskin.replacing import replace_all, scratch_beside
@@ -106,12 +105,5 @@ def publish_light(
         write_light_layer(light, files, report.estimate(), background, output, scratch)
         paths = (output, *files.paths())
         replace_all(scratch, paths)
-    _reload_open_copy(output)
+    reload_open_copy(output)
     return paths, report
-
-
-def _reload_open_copy(path: Path) -> None:
-    """Bring a copy of the layer that this process has open up to date with the file."""
-    opened = Sdf.Layer.Find(str(path.resolve()))
-    if opened is not None:
-        opened.Reload(True)

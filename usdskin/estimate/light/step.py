@@ -15,13 +15,13 @@ from typing import Any
 
 from usdskin.estimate.light.agreement import check_agreement
 from usdskin.estimate.light.captured import Mixture, captured_map, find_mixture
-from usdskin.estimate.light.layer import Background, check_output
+from usdskin.estimate.light.layer import Background
 from usdskin.estimate.light.light_map import LightMap
 from usdskin.estimate.light.maps import Form, map_files
 from usdskin.estimate.light.publish import Clock, LightResult, publish_light
 from usdskin.estimate.light.scale import LightScale, find_scale, readings_of
 from usdskin.estimate.light.totals import add_up
-from usdskin.layers import open_stage
+from usdskin.layers import check_output, open_stage, used_files
 from usdskin.notes import Note
 from usdskin.prims import (
     SpectralCamera,
@@ -29,9 +29,6 @@ from usdskin.prims import (
     read_spectral_camera,
 )
 from usdskin.progress import Progress, SilentProgress
-
-# isort: split
-from pxr import Usd
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +77,11 @@ def estimate_light(
     readings = readings_of(captured)
     is_read = readings.spot is not None or readings.facing is not None
     check_agreement(captured, calibrated, is_read, notes)
-    inputs = [*_layers(stages[0]), *_layers(stages[1]), captured.panorama_file]
+    inputs = [*used_files(stages[0]), *used_files(stages[1]), captured.panorama_file]
     inputs += [path for path in (captured.stddev_file, options.class_map) if path is not None]
     is_mixed = options.light_class is None and len(calibrated.recoveries) > 1
     files = map_files(output, options.form, is_mixed)
-    check_output(output, files, inputs)
+    check_output(output, inputs, files.paths(), step="estimate")
     with clock("classes"):
         mixture = find_mixture(captured, calibrated, options.light_class, options.class_map, notes)
     is_absolute = is_read or calibrated.units == "absolute"
@@ -122,10 +119,6 @@ def _note_darkened(where: str, count: int, light: LightMap, notes: list[Note]) -
                 "no light in this calibration; they were made black",
             )
         )
-
-
-def _layers(stage: Usd.Stage) -> list[Path]:
-    return [Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath]
 
 
 def _documentation(camera: SpectralCamera, mixture: Mixture, scale: LightScale) -> str:

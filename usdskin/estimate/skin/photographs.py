@@ -12,7 +12,7 @@ Reads:  photographs (brackets, or EXR in camera values), AOV EXR of ``usdskin re
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -46,6 +46,7 @@ _MOST_OF_ONE = 2000
 _LEAST_CORRELATION = 0.5
 _LEAST_SPREAD = 0.1  # of N.L, to tell anything about the light's direction
 _MANY = 0.25
+_ANGLE_DEG = 5.0
 
 _Any = TypeVar("_Any")
 
@@ -92,6 +93,10 @@ class PhotographReadings:
     white: FloatArray
     """Camera values of that diffuser, for every photograph, shape [n, 3]."""
 
+    shared: float
+    """What the standard deviations of the readings are over what they scatter by [1]: pixels share
+    the errors of their geometry, so that many tell less than as many readings of a goniometer."""
+
     reports: tuple[PhotographReport, ...]
     """What became of the pixels, for every photograph, shape [n]."""
 
@@ -132,7 +137,9 @@ def sample_photographs(
         masks = _one_each(samples, "samples:mask:files", samples.mask_files, len(names))
     white = white_values(samples, tuple(lights))
     share = min(_MOST_OF_ONE, max(most // len(names), 1))
-    pictures = open_pictures(samples, workers, scratch, progress, notes)
+    found: list[Note] = []
+    pictures = open_pictures(samples, workers, scratch, found)
+    progress.start(len(names), "photographs")
     picked = []
     for k, (picture, geometry) in enumerate(zip(pictures, _geometries(files), strict=True)):
         check_size(picture.where, picture.values.shape, geometry.size)
@@ -141,8 +148,23 @@ def sample_photographs(
         picked.append(
             pick_pixels(picture, geometry, lights[k].direction, white[k], mask, gloss, share, k)
         )
+        progress.advance(1)
     progress.done()
-    return _assembled(samples, names, picked, white, notes)
+    notes += _gathered(found)
+    return _assembled(samples, names, picked, white, files, notes)
+
+
+def _gathered(found: Sequence[Note]) -> list[Note]:
+    """Return one note of each kind: what one photograph has, many of a series have."""
+    kinds: dict[str, list[Note]] = {}
+    for note in found:
+        kinds.setdefault(note.code, []).append(note)
+    return [
+        first
+        if len(rest) == 1
+        else replace(first, message=f"{first.message} (so with {len(rest)} photographs)")
+        for first, rest in ((notes[0], notes) for notes in kinds.values())
+    ]
 
 
 def _one_each(samples: SkinSamples, name: str, given: Sequence[_Any], count: int) -> Sequence[_Any]:
@@ -174,6 +196,7 @@ def _assembled(
     names: Sequence[str],
     picked: Sequence[Picked],
     white: FloatArray,
+    files: Sequence[Path],
     notes: list[Note],
 ) -> PhotographReadings:
     owner = np.repeat(np.arange(len(picked)), [len(part.pixels) for part in picked])
@@ -210,6 +233,7 @@ def _assembled(
         None if variance is None else variance[keep],
         is_matt[keep],
     )
+    shared = _shared(cosine[keep], owner[keep], files)
     pixels = np.concatenate([part.pixels for part in picked])[keep]
     width = np.array([part.width for part in picked])[owner[keep]]
     light = np.stack([part.light for part in picked])[owner[keep]]
@@ -218,13 +242,25 @@ def _assembled(
         normal=joined("normal")[keep],
         values=values[keep],
         view=joined("view")[keep],
-        stddev=stddev,
+        stddev=None if stddev is None else shared * stddev,
         thickness=_thickness(samples, cosine[keep]),
         where=samples.where,
         names=("R", "G", "B"),
     )
     pixel = np.stack([pixels % width, pixels // width], axis=-1)
-    return PhotographReadings(readings, owner[keep], pixel, white, reports)
+    return PhotographReadings(readings, owner[keep], pixel, white, shared, reports)
+
+
+def _shared(cosine: FloatArray, owner: NDArray[np.intp], files: Sequence[Path]) -> float:
+    """Return by how much readings know less than their scatter says.
+
+    Normals and placement come from one geometry for all photographs of a view, so that errors of
+    readings of one view and angle do not average out: all of them count as one reading.
+    """
+    views = np.unique([str(file) for file in files], return_inverse=True)[1]
+    angle = (np.degrees(np.arccos(cosine)) / _ANGLE_DEG).astype(np.intp)
+    independent = len(np.unique(np.stack([views[owner], angle]), axis=1).T)
+    return float(np.sqrt(len(cosine) / max(independent, 1)))
 
 
 def _refuse_nothing(samples: SkinSamples, picked: Sequence[Picked]) -> None:

@@ -18,7 +18,6 @@ from usdskin.photographs.frames import RAW_SUFFIXES
 from usdskin.photographs.merge import CLIPPED, MOVED, merge_bracket
 from usdskin.prims.captures import Shot
 from usdskin.prims.samples import SkinSamples
-from usdskin.progress import Progress
 
 FloatImage = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -65,7 +64,7 @@ def picture_names(samples: SkinSamples) -> list[str]:
 
 
 def open_pictures(
-    samples: SkinSamples, workers: Workers, scratch: Path, progress: Progress, notes: list[Note]
+    samples: SkinSamples, workers: Workers, scratch: Path, notes: list[Note]
 ) -> Iterator[Picture]:
     """Give the photographs one after another.
 
@@ -73,7 +72,6 @@ def open_pictures(
         samples: What names them: images that hold camera values, or views with brackets.
         workers: Where kernels run.
         scratch: Folder for decoded raw files.
-        progress: Told how far the work is.
         notes: Takes what does not stop it.
 
     Raises:
@@ -100,7 +98,7 @@ def open_pictures(
         )
     responses = find_responses(_Views(samples.views), scratch, notes)
     for view in samples.views:
-        merged = merge_bracket(view, workers, scratch, responses.get(view.name), progress, notes)
+        merged = merge_bracket(view, workers, scratch, responses.get(view.name), None, notes)
         moved = (merged.status & (CLIPPED | MOVED)) != 0
         yield Picture(merged.values, merged.variance, moved, view.where)
 

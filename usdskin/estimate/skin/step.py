@@ -7,7 +7,6 @@ Writes: ``skin.usda``, a Material with ``SkinMaterialAPI`` and the fit it came f
 
 from __future__ import annotations
 
-import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,10 +22,11 @@ from usdskin.estimate.skin.readings import Readings
 from usdskin.estimate.skin.skin_report import SkinReport
 from usdskin.estimate.skin.spectra import measured_reflectance, spectra_of_fit
 from usdskin.estimate.skin.spectra_of_channels import SkinSpectra
-from usdskin.layers import open_stage
+from usdskin.layers import check_output, open_stage, used_files
 from usdskin.notes import Note
 from usdskin.prims import SkinSamples, read_skin_samples
 from usdskin.progress import Progress, SilentProgress
+from usdskin.replacing import scratch_beside
 from usdskin.spectrum import SpectralQuantity
 
 
@@ -105,8 +105,8 @@ def estimate_skin(
     notes: list[Note] = []
     began = time.perf_counter()
     stage = open_stage(source, notes)
-    layers = [Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath]
-    _check_output(output, layers)
+    layers = used_files(stage)
+    check_output(output, layers, step="estimate")
     samples = read_skin_samples(stage)
     measured = measured_reflectance(samples, notes)
     readings, columns = _readings(samples, output, options, progress or SilentProgress(), notes)
@@ -126,15 +126,6 @@ def estimate_skin(
     return SkinResult(output, fit, spectra, report, notes, seconds)
 
 
-def _check_output(output: Path, layers: list[Path]) -> None:
-    if output.suffix not in (".usda", ".usdc", ".usd"):
-        raise LayerError(f"{output}: cannot write this kind of file; end its name in .usda")
-    if not output.parent.is_dir():
-        raise LayerError(f"{output}: the folder {output.parent} does not exist; create it first")
-    if output.resolve() in {path.resolve() for path in layers}:
-        raise UsageError(f"{output}: is an input of this estimate; write to another name")
-
-
 def _readings(
     samples: SkinSamples,
     output: Path,
@@ -148,17 +139,11 @@ def _readings(
     if samples.values is not None or samples.values_file is not None:
         raise LayerError(f"{samples.where}: has readings and photographs; put them into two layers")
     columns = _photographed_columns(samples)
-    try:
-        scratch = tempfile.TemporaryDirectory(prefix=f".{output.stem}.", dir=output.parent)
-    except OSError as error:
-        raise LayerError(
-            f"{output.parent}: cannot be written to ({error.strerror}); choose another folder"
-        ) from None
-    with scratch as folder:
+    with scratch_beside(output) as folder:
         found = sample_photographs(
             samples,
             open_workers(options.device, options.threads),
-            Path(folder),
+            folder,
             progress,
             notes,
             gloss="mask" if options.specular == "none" else "keep",

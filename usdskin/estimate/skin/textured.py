@@ -22,7 +22,13 @@ from usdskin.colorimetry import color_space_names
 from usdskin.errors import LayerError, UsageError
 from usdskin.estimate.skin.albedo import AlbedoWeights, weights_of_albedo
 from usdskin.images import Image, Part, read_image, write_exr
-from usdskin.layers import open_stage, record_provenance, write_layer
+from usdskin.layers import (
+    check_output,
+    open_stage,
+    record_provenance,
+    reload_open_copy,
+    write_layer,
+)
 from usdskin.meshfiles.materials import reference_spectra
 from usdskin.notes import Note
 from usdskin.prims import SkinParameters, read_skin, write_skin
@@ -84,7 +90,12 @@ def estimate_textured_skin(
     notes: list[Note] = []
     weights_path = output.with_name(f"{output.stem}.weights.exr")
     inputs = [albedo, *([Path(like)] if like is not None else [])]
-    _check(output, weights_path, inputs, color_space)
+    check_output(output, inputs, [weights_path], step="estimate")
+    if color_space is not None and color_space not in color_space_names():
+        raise UsageError(
+            f"--color-space {color_space}: no color space of USD; use one such as "
+            "srgb_rec709_scene or lin_rec709_scene"
+        )
     image = read_image(albedo)
     space = color_space or image.color_space or _usual_space(image)
     pixels = _rgb(image, albedo)
@@ -98,22 +109,8 @@ def estimate_textured_skin(
         write_exr(scratch / weights_path.name, [part])
         write_layer(stage, scratch / output.name)
         replace_all(scratch, (output, weights_path))
+    reload_open_copy(output)
     return TexturedSkin((output, weights_path), notes, {"skin": time.perf_counter() - began})
-
-
-def _check(output: Path, weights: Path, inputs: list[Path], color_space: str | None) -> None:
-    if output.suffix not in (".usda", ".usdc", ".usd"):
-        raise LayerError(f"{output}: cannot write this kind of file; end its name in .usda")
-    if not output.parent.is_dir():
-        raise LayerError(f"{output}: the folder {output.parent} does not exist; create it first")
-    for path in (output, weights):
-        if path.resolve() in {item.resolve() for item in inputs}:
-            raise UsageError(f"{path}: is an input of this estimate; write to another name")
-    if color_space is not None and color_space not in color_space_names():
-        raise UsageError(
-            f"--color-space {color_space}: no color space of USD; use one such as "
-            "srgb_rec709_scene or lin_rec709_scene"
-        )
 
 
 def _usual_space(image: Image) -> str:
