@@ -12,6 +12,7 @@ import matplotlib
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from figure_texts import texts_outside
 from pxr import Usd, UsdGeom, UsdLux
 
 from usdskin.colorimetry import xyz_weights
@@ -330,27 +331,6 @@ def test_a_patch_mixed_up_with_another_shows_in_the_figure_of_a_chart():
 # Legible
 
 
-def _outside(figure) -> list[str]:
-    """Return the texts that reach beyond the page."""
-    figure.draw_without_rendering()
-    page = figure.bbox
-    renderer = figure.canvas.get_renderer()
-    hidden = {
-        tick.label1
-        for axes in figure.axes
-        for axis in (axes.xaxis, axes.yaxis)
-        for tick in axis.get_major_ticks()
-        if not min(axis.get_view_interval()) <= tick.get_loc() <= max(axis.get_view_interval())
-    }
-    found = []
-    for text in figure.findobj(matplotlib.text.Text):
-        if text.get_visible() and text.get_text().strip() and text not in hidden:
-            box = text.get_window_extent(renderer)
-            if box.x0 < -1 or box.y0 < -1 or box.x1 > page.x1 + 1 or box.y1 > page.y1 + 1:
-                found.append(text.get_text())
-    return found
-
-
 @pytest.mark.parametrize(
     "camera",
     [
@@ -365,12 +345,12 @@ def _outside(figure) -> list[str]:
     ids=["two classes", "140 patches", "long names"],
 )
 def test_no_text_of_a_camera_leaves_the_page(camera):
-    assert _outside(draw_camera(camera, [])) == []
+    assert texts_outside(draw_camera(camera, [])) == []
 
 
 @pytest.mark.parametrize("what", ["sensitivities", "diffuser", "chromaticity", "spectra", "errors"])
 def test_no_text_leaves_the_page_where_one_part_stands_alone(what):
-    assert _outside(draw_camera(_camera(), [], what=[what])) == []
+    assert texts_outside(draw_camera(_camera(), [], what=[what])) == []
 
 
 def test_every_axis_over_wavelength_says_nanometres_and_radiance_has_its_unit():

@@ -25,6 +25,7 @@ from usdskin.commands import (
     files,
     ingest,
     photograph,
+    photograph_skin,
     pictures,
     plot,
     system,
@@ -87,6 +88,7 @@ def cli() -> None:
 for _command in (
     *files.MAKING,
     *photograph.COMMANDS,
+    *photograph_skin.COMMANDS,
     *ingest.COMMANDS,
     *capture.COMMANDS,
     *calibrate.COMMANDS,

@@ -6,6 +6,7 @@ style is whole: a user's ``matplotlibrc`` changes nothing, so the same input giv
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -33,6 +34,8 @@ CHANNEL_DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (5, 1.4, 1, 1.4)))
 CLASSES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 CLASS_DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (5, 1.4, 1, 1.4)), (0, (1, 1)))
 DASHED: Any = (0, (3.2, 1.6))
+
+_CLIP_PATH = re.compile(r'<clipPath id="(p[0-9a-f]{10})"')
 
 _METADATA: dict[str, dict[str, None]] = {
     "svg": {"Date": None, "Creator": None},
@@ -150,7 +153,16 @@ def save_figure(figure: Figure, path: Path) -> Path:
     suffix = figure_format(path)
     with styled(), replacing(path) as temporary:
         figure.savefig(temporary, format=suffix, metadata=dict(_METADATA[suffix]))
+        if suffix == "svg":
+            _number_clip_paths(Path(temporary))
     return path
+
+
+def _number_clip_paths(path: Path) -> None:
+    """Count the clip paths of an SVG instead of naming them by their last bits, which vary."""
+    text = path.read_text("utf-8")
+    names = {name: f"clip{k}" for k, name in enumerate(_CLIP_PATH.findall(text))}
+    path.write_text(re.sub(r"\bp[0-9a-f]{10}\b", lambda m: names.get(m[0], m[0]), text), "utf-8")
 
 
 def print_below_top(part: Any, left: float, down_in: float, text: str, **settings: Any) -> None:

@@ -14,6 +14,7 @@ from usdskin.errors import LayerError
 from usdskin.notes import Note
 from usdskin.plots.appearance import signal_chromaticity
 from usdskin.plots.chromaticity import draw_diagram
+from usdskin.plots.entries import draw_entries, entries_height
 from usdskin.plots.figures import (
     CLASS_DASHES,
     CLASSES,
@@ -21,7 +22,6 @@ from usdskin.plots.figures import (
     INK,
     legend_inside,
     name_axes,
-    print_below_top,
     section_title,
     styled,
 )
@@ -97,8 +97,8 @@ def draw_light(
         rows = -(-len(light.classes) // 2)
         sections.append(Section(0.4 + 1.95 * rows, partial(_draw_classes, light=light)))
     if "summary" in parts:
-        rows = -(-len(_entries(light)) // 3)
-        sections.append(Section(0.42 + 0.15 * rows, partial(_draw_summary, light=light)))
+        height = entries_height(len(_entries(light)))
+        sections.append(Section(height, partial(_draw_summary, light=light)))
     with styled():
         return page(_title(light), light.where.partition(" ")[0], sections)
 
@@ -212,13 +212,7 @@ def _name_directions(axes: Any, step_deg: int) -> None:
 def _draw_summary(part: Any, *, light: LightSpectra) -> None:
     """Write names and values in three columns."""
     section_title(part, "Summary")
-    entries = _entries(light)
-    rows = -(-len(entries) // 3)
-    for index, (name, value) in enumerate(entries):
-        column, row = divmod(index, rows)
-        down = 0.34 + 0.15 * row
-        print_below_top(part, 0.008 + 0.335 * column, down, name, fontsize=7.0, color=FAINT)
-        print_below_top(part, 0.325 + 0.335 * column, down, value, fontsize=7.0, ha="right")
+    draw_entries(part, _entries(light))
 
 
 def _entries(light: LightSpectra) -> list[tuple[str, str]]:

@@ -28,6 +28,9 @@ class SkinReport:
     by_prior: bool
     """Whether spectra come from a camera's channels by the skin prior."""
 
+    shared: float = 1.0
+    """What standard deviations were widened by because readings share errors [1]."""
+
     def lines(self) -> Iterator[str]:
         """Yield what a person wants to read."""
         fit, spectra = self.fit, self.spectra
@@ -53,8 +56,8 @@ class SkinReport:
         if fit.delta is not None:
             yield f"opacity: {_range(fit.delta)} 1/m"
         yield (
-            f"residual: {100.0 * fit.residual_rms:.2f} % of the peak, {fit.noise:.2f} times the "
-            "noise assumed"
+            f"residual: {100.0 * fit.residual_rms:.2f} % of the peak, "
+            f"{fit.noise * self.shared:.2f} times the noise assumed"
         )
         yield from (f"told: {text}" for text in reach.told)
         yield from (f"not told: {text}" for text in reach.untold)
@@ -75,7 +78,7 @@ class SkinReport:
             "A": fit.lambert.tolist(),
             "B": fit.wrapped.tolist(),
             "residual": fit.residual_rms,
-            "noise": fit.noise,
+            "noise": fit.noise * self.shared,
             "told": list(fit.identifiability.told),
             "untold": list(fit.identifiability.untold),
         }

@@ -109,7 +109,9 @@ def estimate_skin(
     check_output(output, layers, step="estimate")
     samples = read_skin_samples(stage)
     measured = measured_reflectance(samples, notes)
-    readings, columns = _readings(samples, output, options, progress or SilentProgress(), notes)
+    readings, columns, shared = _readings(
+        samples, output, options, progress or SilentProgress(), notes
+    )
     read = time.perf_counter()
     try:
         fit = fit_skin(readings, _fit_options(options), notes)
@@ -122,7 +124,7 @@ def estimate_skin(
     settings |= {name: value for name, value in known.items() if value is not None}
     publish_skin(fit, spectra, readings, columns, output, layers, settings)
     seconds = {"readings": read - began, "fit": done - read, "write": time.perf_counter() - done}
-    report = SkinReport(fit, spectra, readings.names, columns.camera is not None)
+    report = SkinReport(fit, spectra, readings.names, columns.camera is not None, shared)
     return SkinResult(output, fit, spectra, report, notes, seconds)
 
 
@@ -132,10 +134,11 @@ def _readings(
     options: SkinOptions,
     progress: Progress,
     notes: list[Note],
-) -> tuple[Readings, Columns]:
+) -> tuple[Readings, Columns, float]:
+    """Return readings, their columns, and what their errors were widened by."""
     photographed = bool(samples.images or samples.views)
     if not photographed:
-        return read_samples(samples)
+        return *read_samples(samples), 1.0
     if samples.values is not None or samples.values_file is not None:
         raise LayerError(f"{samples.where}: has readings and photographs; put them into two layers")
     columns = _photographed_columns(samples)
@@ -148,7 +151,7 @@ def _readings(
             notes,
             gloss="mask" if options.specular == "none" else "keep",
         )
-    return found.readings, columns
+    return found.readings, columns, found.shared
 
 
 def _photographed_columns(samples: SkinSamples) -> Columns:
