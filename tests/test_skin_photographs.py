@@ -434,3 +434,14 @@ def test_lamps_and_cameras_look_at_the_subject():
         assert np.allclose(rotation.T @ rotation, np.eye(3)) and np.linalg.det(rotation) > 0.0
     assert np.allclose(direction_of((0.0, 0.0), "Z"), [0.0, -1.0, 0.0])
     assert np.allclose(direction_of((90.0, 0.0), "Y"), [1.0, 0.0, 0.0])
+
+
+def test_the_command_photographs_a_session(tmp_path, capsys):
+    stage = write_subject(tmp_path / "subject.usda", skin())
+    arguments = ["-q", "photograph-skin", str(stage), "-o", str(tmp_path / "session"), "--images"]
+    arguments += ["--size", "24", "--lights", "4"]
+    assert main(arguments) == 0
+    samples = samples_in(tmp_path / "session")
+    assert len(samples.images) == len(samples.lights) == 8
+    assert main(arguments) == 2
+    assert "session" in capsys.readouterr().err

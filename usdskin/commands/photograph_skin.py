@@ -68,8 +68,8 @@ def photograph_skin(
         from usdskin.judge.setups import Setup
         from usdskin.judge.skin_photographs import SubjectSetup, lamps, photograph_subject
 
-        said = {"camera": camera, "illuminant": illuminant}
-        setup = Setup(**{k: v for k, v in said.items() if v is not None}, seed=seed)
+        said: dict[str, Any] = {"camera": camera, "illuminant": illuminant, "seed": seed}
+        setup = Setup(**{name: value for name, value in said.items() if value is not None})
         chosen = {name: value for name, value in given.items() if value is not None}
         written = photograph_subject(
             stage,
