@@ -27,7 +27,7 @@ LAMP_DEG = 0.5
 
 def make_lens(width: int, height: int) -> Any:
     """Return an equidistant lens whose half sphere fills the height of the picture."""
-    from usdskin.prims.captures import FisheyeLens
+    from usdskin.prims.lenses import FisheyeLens
 
     focal = (0.5 * height - 4.0) / (0.5 * np.pi)
     center = np.array([0.5 * width + 3.3, 0.5 * height - 1.7])

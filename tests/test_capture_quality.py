@@ -32,7 +32,10 @@ from usdskin.meters import (
     texel_vectors,
 )
 from usdskin.photographs.merge import ExposurePair, MergeReport
-from usdskin.prims.captures import ExposureBracket, FisheyeLens, Shoot, View
+from usdskin.prims.brackets import ExposureBracket
+from usdskin.prims.captures import Shoot
+from usdskin.prims.lenses import FisheyeLens
+from usdskin.prims.views import View
 
 GREEN = np.array([0.0, 1.0, 0.0])
 WEIGHTS = np.array([0.2, 0.7, 0.1])

@@ -20,7 +20,7 @@ from usdskin.fisheye import (
     unproject,
     vignetting,
 )
-from usdskin.prims.captures import FisheyeLens
+from usdskin.prims.lenses import FisheyeLens
 from usdskin.warp_kernels import fisheye
 
 HOST_PX = 1e-9

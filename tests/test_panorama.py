@@ -23,7 +23,7 @@ from usdskin.latlong import (
     texel_directions,
     texel_solid_angles,
 )
-from usdskin.prims.captures import FisheyeLens
+from usdskin.prims.lenses import FisheyeLens
 from usdskin.progress import SilentProgress
 
 FLUX_RTOL = 1e-3

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from usdskin.errors import LayerError
-from usdskin.prims.captures import FisheyeLens
+from usdskin.prims.lenses import FisheyeLens
 
 FloatArray = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from usdskin.device import Workers
 from usdskin.errors import ImageError, LayerError
 from usdskin.photographs.frames import Frame, open_frame
-from usdskin.prims.captures import Bracketed
+from usdskin.prims.views import Bracketed
 
 if TYPE_CHECKING:
     from usdskin.photographs.response import Response

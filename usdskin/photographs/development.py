@@ -17,7 +17,7 @@ from usdskin.photographs.response import (
     recover_response,
     sample_pixels,
 )
-from usdskin.prims.captures import Bracketed
+from usdskin.prims.views import Bracketed
 
 
 class Photographed(Protocol):

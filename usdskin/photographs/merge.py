@@ -27,7 +27,7 @@ from usdskin.photographs.exposures import (
 from usdskin.photographs.flat import divide_by_flat
 from usdskin.photographs.merge_rows import merge_all_rows
 from usdskin.photographs.noise import NoiseModel, find_noise
-from usdskin.prims.captures import Bracketed
+from usdskin.prims.views import Bracketed
 from usdskin.progress import Progress, SilentProgress
 from usdskin.warp_kernels.bracket import CLIPPED, DARK, MOVED, SATURATION
 

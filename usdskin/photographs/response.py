@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from usdskin.errors import LayerError
 from usdskin.images import replacing
 from usdskin.photographs.response_fit import fit_curve, is_usable
-from usdskin.prims.captures import Bracketed
+from usdskin.prims.views import Bracketed
 
 FloatArray = NDArray[np.float64]
 

@@ -6,27 +6,14 @@ Errors name the layer, the prim and the attribute, what is wrong with which valu
 from __future__ import annotations
 
 from usdskin.prims.applied import check_applied_schemas, check_stage_schemas
+from usdskin.prims.brackets import ExposureBracket, read_bracket, write_bracket
 from usdskin.prims.cameras import (
     Recovery,
     SpectralCamera,
     read_spectral_camera,
     write_spectral_camera,
 )
-from usdskin.prims.captures import (
-    ExposureBracket,
-    FisheyeLens,
-    Shoot,
-    Shot,
-    View,
-    read_bracket,
-    read_lens,
-    read_shoot,
-    read_shot,
-    read_view,
-    write_bracket,
-    write_lens,
-    write_rotation,
-)
+from usdskin.prims.captures import Shoot, read_shoot
 from usdskin.prims.charts import (
     ColorChart,
     read_color_chart,
@@ -35,6 +22,7 @@ from usdskin.prims.charts import (
 )
 from usdskin.prims.estimates import LightEstimate, read_light_estimate, write_light_estimate
 from usdskin.prims.fits import SkinFitRecord, read_skin_fit, write_skin_fit
+from usdskin.prims.lenses import FisheyeLens, read_lens, write_lens
 from usdskin.prims.lights import SpectralLight, read_spectral_light, write_spectral_light
 from usdskin.prims.panoramas import CapturedPanorama, read_captured_panorama
 from usdskin.prims.samples import (
@@ -46,6 +34,7 @@ from usdskin.prims.samples import (
 from usdskin.prims.settings import SkinRenderSettings, read_render_settings_api
 from usdskin.prims.skin import SkinParameters, read_skin, write_skin
 from usdskin.prims.spectra import read_spectrum, write_spectrum
+from usdskin.prims.views import Shot, View, read_shot, read_view, write_rotation
 
 __all__ = [
     "CapturedPanorama",

@@ -12,9 +12,9 @@ from pxr import Gf, Sdf, Usd, Vt
 from usdskin.errors import LayerError
 from usdskin.layers import describe
 from usdskin.prims.applied import check_applied_schemas
-from usdskin.prims.captures import View, read_view
 from usdskin.prims.spectra import read_spectrum, write_spectrum
 from usdskin.prims.values import DEFAULT_TIME, read_schema
+from usdskin.prims.views import View, read_view
 from usdskin.prims.writing import write_schema
 from usdskin.spectrum import SpectralQuantity, Spectrum
 

@@ -14,10 +14,10 @@ from usdskin.errors import LayerError
 from usdskin.layers import describe
 from usdskin.prims.applied import check_applied_schemas
 from usdskin.prims.cameras import SpectralCamera, spectral_camera
-from usdskin.prims.captures import Shot, read_shot
 from usdskin.prims.lights import SpectralLight, read_spectral_light
 from usdskin.prims.spectra import read_spectrum, write_spectrum
 from usdskin.prims.values import DEFAULT_TIME, PrimError, Problem, read_schema
+from usdskin.prims.views import Shot, read_shot
 from usdskin.prims.writing import write_schema
 from usdskin.spectrum import SpectralQuantity, Spectrum
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from usdskin.errors import UsageError, UsdSkinError
 from usdskin.fisheye import check_lens
 from usdskin.notes import Note
-from usdskin.prims.captures import FisheyeLens
+from usdskin.prims.lenses import FisheyeLens
 
 FloatArray = NDArray[np.float64]
 Curve = Callable[[FloatArray], FloatArray]

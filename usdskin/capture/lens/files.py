@@ -11,7 +11,7 @@ from usdskin.capture.lens.lensfun import LensfunChoice, read_lensfun
 from usdskin.capture.lens.opencv import read_opencv
 from usdskin.errors import UsageError, UsdSkinError
 from usdskin.notes import Note
-from usdskin.prims.captures import FisheyeLens
+from usdskin.prims.lenses import FisheyeLens
 
 
 @dataclass(frozen=True, slots=True)

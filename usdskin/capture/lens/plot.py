@@ -13,7 +13,7 @@ from usdskin.capture.lens.fit import Calibration
 from usdskin.errors import UsdSkinError
 from usdskin.fisheye import angle_to_radius
 from usdskin.images import replacing
-from usdskin.prims.captures import FisheyeLens
+from usdskin.prims.lenses import FisheyeLens
 
 FloatArray = NDArray[np.float64]
 

@@ -30,7 +30,7 @@ from usdskin.fisheye import (
     vignetting,
 )
 from usdskin.latlong import texel_directions, texel_solid_angles
-from usdskin.prims.captures import FisheyeLens
+from usdskin.prims.lenses import FisheyeLens
 from usdskin.progress import Progress
 from usdskin.warp_kernels import fisheye
 from usdskin.warp_kernels import panorama as kernels

@@ -16,8 +16,8 @@ from usdskin.notes import Note
 from usdskin.photographs.development import find_responses
 from usdskin.photographs.frames import RAW_SUFFIXES
 from usdskin.photographs.merge import CLIPPED, MOVED, merge_bracket
-from usdskin.prims.captures import Shot
 from usdskin.prims.samples import SkinSamples
+from usdskin.prims.views import Shot
 
 FloatImage = NDArray[np.float32]
 Mask = NDArray[np.bool_]
