@@ -770,7 +770,7 @@ def test_the_mean_of_ordinary_maps_becomes_the_lamp(tmp_path, realdata, name):
 # --- Memory --------------------------------------------------------------------------------------
 
 _MEASURE = """
-import resource, sys
+import sys
 from usdskin.estimate.light.step import LightOptions, estimate_light
 folder = sys.argv[1]
 estimate_light(
@@ -779,11 +779,14 @@ estimate_light(
     f"{folder}/light.usda",
     LightOptions(form="bands"),
 )
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+# ru_maxrss would hold what the process that started this one needed.
+status = open("/proc/self/status").read()
+print(status.partition("VmHWM:")[2].split()[0])
 """
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux to measure memory")
 def test_all_bands_of_a_large_panorama_need_less_than_512_mb(tmp_path):
     make_place(tmp_path, ("FL2", "D65"))
     small = read_image(tmp_path / "panorama.exr").pixels
