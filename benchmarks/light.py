@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pxr import Sdf
 
 from usdskin.capture.step import CaptureOptions, capture_shoot
-from usdskin.estimate.calibrate import CalibrationOptions, calibrate_camera
+from usdskin.estimate.camera.step import CalibrationOptions, calibrate_camera
 from usdskin.estimate.light.step import LightOptions, estimate_light
 from usdskin.judge.charts import ChartSetup, photograph_chart, with_camera_of
 from usdskin.judge.photographer import photograph

@@ -245,8 +245,8 @@ def camera(
     with Reporter(options) as reporter:
         import numpy as np
 
-        from usdskin.estimate.calibrate import CalibrationOptions, calibrate_camera
-        from usdskin.estimate.calibration_report import report_of
+        from usdskin.estimate.camera.report import report_of
+        from usdskin.estimate.camera.step import CalibrationOptions, calibrate_camera
 
         result = calibrate_camera(
             charts,

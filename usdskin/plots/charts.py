@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.estimate.chart.layouts import LAYOUTS, Layout
-from usdskin.estimate.measurements import (
+from usdskin.estimate.camera.measurements import (
     illuminant_of_patches,
     match_patches,
     read_camera_values,
     read_chart_spectra,
 )
+from usdskin.estimate.chart.layouts import LAYOUTS, Layout
 from usdskin.notes import Note
 from usdskin.plots.chart import ChartSpectra
 from usdskin.prims import ColorChart

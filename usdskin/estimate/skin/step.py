@@ -19,7 +19,7 @@ from usdskin.estimate.skin.inputs import Columns, columns_of, read_samples
 from usdskin.estimate.skin.photographs import sample_photographs
 from usdskin.estimate.skin.publish import publish_skin
 from usdskin.estimate.skin.readings import Readings
-from usdskin.estimate.skin.skin_report import SkinReport
+from usdskin.estimate.skin.report import SkinReport
 from usdskin.estimate.skin.spectra import measured_reflectance, spectra_of_fit
 from usdskin.estimate.skin.spectra_of_channels import SkinSpectra
 from usdskin.layers import check_output, open_stage, used_files

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from usdskin.device import open_workers
 from usdskin.errors import LayerError, UsageError
+from usdskin.estimate.camera.patches import Darkroom, UsedPatches, read_patches
 from usdskin.estimate.chart.layouts import LAYOUTS
-from usdskin.estimate.patches import Darkroom, UsedPatches, read_patches
 from usdskin.estimate.recovery import Training, estimate_responsivity, in_one_unit, recover
 from usdskin.layers import check_output, open_stage, record_provenance, used_files, write_layer
 from usdskin.notes import Note

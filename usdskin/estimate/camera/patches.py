@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 from usdskin.device import Workers
 from usdskin.errors import LayerError, UsageError
-from usdskin.estimate.chart.check import check_patches
-from usdskin.estimate.chart.detect import find_corners
-from usdskin.estimate.chart.layouts import LAYOUTS, Layout
-from usdskin.estimate.chart.photograph import develop
-from usdskin.estimate.chart.sample import sample_patches
-from usdskin.estimate.measurements import (
+from usdskin.estimate.camera.measurements import (
     Spectra,
     illuminant_of_patches,
     match_patches,
     read_camera_values,
     read_chart_spectra,
 )
+from usdskin.estimate.chart.check import check_patches
+from usdskin.estimate.chart.detect import find_corners
+from usdskin.estimate.chart.layouts import LAYOUTS, Layout
+from usdskin.estimate.chart.photograph import develop
+from usdskin.estimate.chart.sample import sample_patches
 from usdskin.notes import Note
 from usdskin.prims import ColorChart
 from usdskin.progress import Progress

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from usdskin.estimate.calibrate import CalibrationResult
-from usdskin.estimate.patches import UsedPatches
+from usdskin.estimate.camera.patches import UsedPatches
+from usdskin.estimate.camera.step import CalibrationResult
 from usdskin.prims import Recovery, SpectralCamera
 
 _WORST = 3
