@@ -107,6 +107,7 @@ def test_a_faithful_shoot_is_right_to_one_percent(shooting: Shooting, tmp_path: 
     assert not result.report.lamps
 
 
+@pytest.mark.slow
 def test_a_realistic_shoot_is_right_to_two_percent(shooting: Shooting, tmp_path: Path) -> None:
     """V stated 2 % off, 1 % glare, views 0.5 degrees off, 14 bits, 3 views of 9 exposures."""
     shoot = shooting(
@@ -125,6 +126,7 @@ def test_a_realistic_shoot_is_right_to_two_percent(shooting: Shooting, tmp_path:
     assert result.report.rotation_residual_before_deg > 0.2
 
 
+@pytest.mark.slow
 def test_glare_that_is_not_subtracted_shows(shooting: Shooting, tmp_path: Path) -> None:
     shoot = shooting("veiled", lens=fisheye(SMALL, glare=0.02))
     capture_shoot(shoot, tmp_path / "with.usda")
@@ -142,6 +144,7 @@ def reduced_truth(shoot: Path, height: int) -> np.ndarray:
     return reduced(truth, height)
 
 
+@pytest.mark.slow
 def test_two_views_back_to_back_are_right_too(shooting: Shooting, tmp_path: Path) -> None:
     shoot = shooting(
         "back", lens=fisheye(SMALL, field_of_view_deg=190.0), views=((0.0, 0.0), (180.0, 0.0))
@@ -151,6 +154,7 @@ def test_two_views_back_to_back_are_right_too(shooting: Shooting, tmp_path: Path
     assert error.median <= 0.02 and error.irradiance <= 0.015
 
 
+@pytest.mark.slow
 def test_developed_pictures_come_within_a_few_percent(shooting: Shooting, tmp_path: Path) -> None:
     shoot = shooting("jpeg", file_kind="jpg", curve="srgb", exposures=exposure_series(11, 1.5))
     result = capture_shoot(shoot, tmp_path / "capture.usda")
@@ -199,6 +203,7 @@ def matrix(rows: np.ndarray) -> Gf.Matrix4d:
     return Gf.Matrix4d(*(float(value) for value in rows.ravel()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("up_axis", ["Y", "Z"])
 def test_a_lamp_is_found_where_it_stood_after_a_render(
     tmp_path: Path, camera_file: str, up_axis: str
@@ -260,6 +265,7 @@ def clipping() -> dict[str, object]:
     return {"exposures": exposure_series(5, 2.0, middle_s=1.0 / 4.0), "middle": 0.7}
 
 
+@pytest.mark.slow
 def test_a_clipped_lamp_is_reported_and_mended_by_a_reading(
     shooting: Shooting, tmp_path: Path
 ) -> None:
@@ -294,6 +300,7 @@ def spot(truth: np.ndarray, stored: dict[str, object], weights: np.ndarray) -> f
     return float(truth[near].mean(axis=0) @ weights)
 
 
+@pytest.mark.slow
 def test_a_darker_second_bracket_mends_a_clipped_lamp(shooting: Shooting, tmp_path: Path) -> None:
     views = ((0.0, 0.0), (120.0, 0.0), (240.0, 0.0))
     bright, dark = exposure_series(5, 2.0), exposure_list([1 / 250, 1 / 1000], nd_factor=64.0)
@@ -304,6 +311,7 @@ def test_a_darker_second_bracket_mends_a_clipped_lamp(shooting: Shooting, tmp_pa
     assert error.irradiance <= 0.015 and error.flux <= 0.01
 
 
+@pytest.mark.slow
 def test_a_reading_gives_the_scale(shooting: Shooting, tmp_path: Path) -> None:
     shoot = shooting("plain")
     capture_shoot(shoot, tmp_path / "capture.usda")
@@ -350,6 +358,7 @@ def test_the_layer_stands_alone_and_is_valid(shooting: Shooting, tmp_path: Path)
     )
 
 
+@pytest.mark.slow
 def test_same_shoot_same_bytes_whatever_the_threads(shooting: Shooting, tmp_path: Path) -> None:
     shoot = shooting("plain")
     written = []
@@ -445,6 +454,7 @@ def test_pictures_of_two_sizes_or_kinds_in_a_view_are_refused(
     assert code == 3 and "02.exr" in line
 
 
+@pytest.mark.slow
 def test_views_of_two_sizes_are_fine(shooting: Shooting, tmp_path: Path) -> None:
     """A phone beside a camera: each view has its own lens, scaled to its own pictures."""
     large, small = shooting("plain"), shooting("half", lens=fisheye(SMALL // 2))
@@ -455,6 +465,7 @@ def test_views_of_two_sizes_are_fine(shooting: Shooting, tmp_path: Path) -> None
     assert error_of(tmp_path / "capture.usda", large).irradiance < 0.02
 
 
+@pytest.mark.slow
 def test_black_and_saturated_views_are_refused(
     shooting: Shooting, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -473,6 +484,7 @@ def constant_of(shoot: Path) -> float:
     return read_truth(shoot.parent).constants["sensorConstant"]
 
 
+@pytest.mark.slow
 def test_a_wrong_rotation_is_told(shooting: Shooting, tmp_path: Path) -> None:
     def swap(stage: Usd.Stage) -> None:
         one, two = (

@@ -24,6 +24,7 @@ def _run(kernel, count, inputs, dtype, device):
     return out.numpy()
 
 
+@pytest.mark.slow
 def test_mean_ramp_and_step_are_the_averages_over_the_rectangle(device):
     """Against a fine float64 midpoint sum, over positions inside, across and outside the kink."""
     rng = np.random.default_rng(3)

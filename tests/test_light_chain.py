@@ -21,6 +21,8 @@ from usdskin.prims import read_light_estimate, read_spectral_light
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM as GRID
 from usdskin.spectrum import resample
 
+pytestmark = pytest.mark.slow
+
 ROOM = Path(__file__).resolve().parents[1] / "stages" / "capture_room"
 LAMPS = {"tubes": ROOM / "tubes.usda", "window": ROOM / "window.usda"}
 

@@ -64,6 +64,7 @@ def photon_limit(levels, times, sensor):
 # --- Accuracy ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_merge_is_unbiased_and_near_the_photon_limit_over_eight_decades(tmp_path, merge):
     """From 20 electrons in the longest exposure to 90 % of the range of the shortest; 10 seeds."""
     sensor, count = Sensor(read_noise=0.75), 30
@@ -179,6 +180,7 @@ def test_images_may_be_listed_in_any_order(tmp_path, merge):
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_merge_is_no_worse_than_colour_hdri(tmp_path, merge):
     """On the same photographs, with the weights its authors recommend for raw files."""
     from colour_hdri import Image, ImageStack, Metadata, image_stack_to_HDRI
