@@ -284,3 +284,10 @@ def test_a_chart_layer_without_a_chart_says_so(tmp_path, capsys):
     layer = tmp_path / "empty.usda"
     layer.write_text('#usda 1.0\n(upAxis = "Y"\nmetersPerUnit = 1)\ndef Xform "A" {}\n')
     assert "ColorChartAPI" in refused(capsys, layer)
+
+
+def test_a_figure_is_checked_before_the_work(tmp_path, capsys):
+    chart = write_chart(tmp_path / "chart.usda", seen_chart())
+    refused(capsys, chart, "--plot", str(tmp_path / "figure.gif"), code=2)
+    refused(capsys, chart, "--plot", str(chart), code=2)
+    assert not (tmp_path / "camera.usda").exists()

@@ -23,7 +23,7 @@ from usdskin.colorimetry import (
 from usdskin.differences import delta_e_of_signals
 from usdskin.estimate.skin.prior import shipped_prior
 from usdskin.illuminants import illuminant
-from usdskin.images import read_image, write_png
+from usdskin.images import Part, read_image, write_exr, write_png
 from usdskin.layers import open_stage, write_layer
 from usdskin.prims import (
     SkinParameters,
@@ -412,3 +412,29 @@ def test_options_of_a_fit_do_not_go_with_a_texture(tmp_path, capsys):
 def test_a_texture_that_is_no_picture_is_refused(tmp_path, capsys):
     (tmp_path / "albedo.png").write_bytes(b"no picture")
     assert "albedo.png" in refused(capsys, tmp_path / "albedo.png")
+
+
+def test_a_figure_never_replaces_an_input_or_the_layer(tmp_path, capsys):
+    write_albedo(tmp_path / "albedo.png")
+    layer = write_samples(tmp_path, spectral_samples())
+    for figure in ("skin.usda", "samples.usda"):
+        refused(capsys, layer, "--plot", str(tmp_path / figure), code=2)
+    rows = ["thetaI," + ",".join(f"{nm:g}" for nm in NM)]
+    (tmp_path / "readings.png").write_text("\n".join(rows))  # what the layer names is safe too
+    table = write_samples(tmp_path, SkinSamples(values_file=tmp_path / "readings.png"))
+    before = (tmp_path / "readings.png").read_bytes()
+    refused(capsys, table, "--plot", str(tmp_path / "readings.png"), code=2)
+    assert (tmp_path / "readings.png").read_bytes() == before
+
+
+def test_a_negative_albedo_is_refused_where_it_is(tmp_path, capsys):
+    pixels = np.full((4, 6, 3), 0.3, np.float32)
+    pixels[2, 5] = -0.1
+    part = Part("", {"": pixels}, {}, "float", "lin_rec709_scene")
+    write_exr(tmp_path / "albedo.exr", [part])
+    assert "x 5, y 2" in refused(capsys, tmp_path / "albedo.exr")
+
+
+def test_wavelengths_nobody_sees_are_refused(tmp_path, capsys):
+    layer = write_samples(tmp_path, spectral_samples(wavelength_nm=NM + 1000.0))
+    assert "1400 to 1700 nm" in refused(capsys, layer)

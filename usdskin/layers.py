@@ -250,6 +250,14 @@ def used_files(stage: Usd.Stage) -> list[Path]:
     return [Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath]
 
 
+def named_files(path: Path) -> set[Path]:
+    """Return a layer and every file that it names, itself or through other layers."""
+    with quiet_diagnostics():
+        layers, assets, _ = UsdUtils.ComputeAllDependencies(str(path))
+    files = {Path(layer.realPath) for layer in layers if layer.realPath}
+    return {file.resolve() for file in files | {Path(asset) for asset in assets}}
+
+
 def reload_open_copy(path: Path) -> None:
     """Bring a copy of a layer that this process has open up to date with its file."""
     opened = Sdf.Layer.Find(str(path.resolve()))

@@ -245,6 +245,11 @@ def camera(
     with Reporter(options) as reporter:
         import numpy as np
 
+        if plot is not None:
+            from usdskin.plots.step import check_figure
+
+            check_figure(plot, output, [*charts])
+
         from usdskin.estimate.camera.report import report_of
         from usdskin.estimate.camera.step import CalibrationOptions, calibrate_camera
 

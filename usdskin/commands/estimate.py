@@ -102,6 +102,10 @@ def light(
         usdskin estimate light studio.hdr --illuminant FL2 -o light.usda
     """
     with Reporter(options) as reporter:
+        if plot is not None:
+            from usdskin.plots.step import check_figure
+
+            check_figure(plot, output, [source, given["camera"], given["class_map"]])
         result = _estimate(reporter, source, output, given)
         reporter.notes(result.notes)
         reporter.seconds(result.seconds)
@@ -130,12 +134,21 @@ def _estimate(reporter: Reporter, source: Path, output: Path, given: dict[str, A
                 "camera is not known"
             )
         _refuse(given, measured, "--camera, which is not given")
+        if source.suffix.lower() in _LAYER_SUFFIXES:
+            raise UsageError(
+                f"{source}: --illuminant is for pictures; a capture has camera values, so give "
+                "--camera CAMERA.usda"
+            )
         from usdskin.estimate.light.assigned import AssignOptions, assign_light
 
         names = ("illuminant", "white", "form", "bad_pixels")
         chosen = AssignOptions(**{name: given[name] for name in names})
         return assign_light(source, output, chosen, reporter.progress())
     _refuse(given, assigned, "pictures without --camera")
+    if source.suffix.lower() not in _LAYER_SUFFIXES:
+        raise UsageError(
+            f"{source}: --camera is for captures; give the capture.usda that names this picture"
+        )
     from usdskin.estimate.light.step import LightOptions, estimate_light
 
     picked = LightOptions(**{name: given[name] for name in (*measured, "form")})
@@ -230,6 +243,10 @@ def skin(
             return
         if like is not None or color_space is not None:
             raise UsageError("--like and --color-space belong to an albedo picture; leave them out")
+        if plot is not None:
+            from usdskin.plots.step import check_figure
+
+            check_figure(plot, output, [source])
         from usdskin.estimate.skin.step import SkinOptions, estimate_skin
 
         result = estimate_skin(

@@ -46,6 +46,8 @@ from usdskin.judge.skin_scenes import (
     write_set,
 )
 from usdskin.judge.viewpoints import Orientation
+from usdskin.layers import open_stage
+from usdskin.prims.cameras import read_spectral_camera
 from usdskin.prims.samples import SkinSamples
 from usdskin.progress import Progress, SilentProgress
 from usdskin.spectrum import Spectrum, band_widths
@@ -136,6 +138,15 @@ class SubjectSetup:
             self.exposures.check()
 
 
+def _check_class(calibration: Path, light_class: str) -> None:
+    """Refuse a calibration that does not tell which of its classes the lamp is of."""
+    opened = open_stage(calibration)
+    known = [recovery.light_class for recovery in read_spectral_camera(opened).recoveries]
+    if light_class not in known and (light_class or len(known) > 1):
+        said = f"has no class {light_class!r}" if light_class else "has several classes"
+        raise UsageError(f"{calibration}: {said}; name one with --light-class: {', '.join(known)}")
+
+
 def photograph_subject(
     stage: str | Path,
     output: str | Path,
@@ -167,6 +178,8 @@ def photograph_subject(
     setup.check()
     shoot.check()
     output, progress = Path(output), progress or SilentProgress()
+    if shoot.calibration is not None:
+        _check_class(shoot.calibration, shoot.light_class)
     subject = read_subject(Path(stage), shoot.prim_path, shoot.material)
     camera = read_sensitivity(setup.camera)
     with new_folder(output) as folder:

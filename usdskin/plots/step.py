@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from pxr import Usd
 
 from usdskin.errors import ImageError, LayerError, UsageError
-from usdskin.layers import corruption_as_errors, open_stage
+from usdskin.layers import corruption_as_errors, named_files, open_stage
 from usdskin.notes import Note
 from usdskin.plots.figures import figure_format, save_figure, styled
 
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 _OTHERS = ("SpectralCameraAPI", "ColorChartAPI", "SpectralLightAPI")
 """What a layer is drawn for where its default prim is no skin."""
+
+
+_LAYER_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,16 +62,45 @@ def plot_file(
         ImageError: A map cannot be read, or the figure cannot be written.
     """
     options = options or PlotOptions()
-    figure_format(output)
-    if not output.parent.is_dir():
-        raise ImageError(f"{output}: the folder {output.parent} does not exist; create it first")
-    with styled():
-        pass  # refuse before the work where there is no matplotlib
+    _check_figure(output)
     with corruption_as_errors(path):
         figure, inputs = _draw(path, open_stage(path, notes), options, notes)
     if output.resolve() in {file.resolve() for file in inputs}:
         raise UsageError(f"{output}: is drawn in this figure; write to another name")
     return save_figure(figure, output)
+
+
+def check_figure(output: Path, layer: Path, inputs: Iterable[Path | None]) -> None:
+    """Refuse a figure that a step could not draw in the end, or that would destroy a file.
+
+    Args:
+        output: Figure to write.
+        layer: Layer that the step writes first.
+        inputs: Files the step reads; what the layers among them name is safe too. None: no file.
+
+    Raises:
+        LayerError: An input is a broken layer.
+        UsageError: Another kind of file, matplotlib is not installed, or the figure is an input.
+        ImageError: The folder is missing.
+    """
+    _check_figure(output)
+    taken = {layer.resolve()}
+    for path in inputs:
+        if path is None:
+            continue
+        taken.add(path.resolve())
+        if path.suffix in _LAYER_SUFFIXES and path.is_file():
+            taken |= named_files(path)
+    if output.resolve() in taken:
+        raise UsageError(f"{output}: is a file of this step; draw under another name")
+
+
+def _check_figure(output: Path) -> None:
+    figure_format(output)
+    if not output.parent.is_dir():
+        raise ImageError(f"{output}: the folder {output.parent} does not exist; create it first")
+    with styled():
+        pass  # refuse before the work where there is no matplotlib
 
 
 def _draw(

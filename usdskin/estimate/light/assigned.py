@@ -25,7 +25,7 @@ from usdskin.estimate.light.layer import Background
 from usdskin.estimate.light.light_map import LightMap, rows_per_block
 from usdskin.estimate.light.maps import Form, map_files
 from usdskin.estimate.light.publish import Clock, LightResult, publish_light
-from usdskin.estimate.light.totals import Readings, add_up
+from usdskin.estimate.light.totals import Readings, add_up, check_totals
 from usdskin.illuminants import illuminant
 from usdskin.layers import check_output
 from usdskin.meters import flux
@@ -106,6 +106,7 @@ def assign_light(
     light = assigned_map(read, lamp, grid, white)
     with clock("measure"):
         totals = add_up(light, Readings(), progress)
+    check_totals(totals, light, str(environment), notes)
     shown = "1, 1, 1" if white is None else ", ".join(f"{value:.4g}" for value in white)
     background = Background(
         origin="assigned",

@@ -20,7 +20,7 @@ from usdskin.estimate.light.light_map import LightMap
 from usdskin.estimate.light.maps import Form, map_files
 from usdskin.estimate.light.publish import Clock, LightResult, publish_light
 from usdskin.estimate.light.scale import LightScale, find_scale, readings_of
-from usdskin.estimate.light.totals import add_up
+from usdskin.estimate.light.totals import add_up, check_totals
 from usdskin.layers import check_output, open_stage, used_files
 from usdskin.notes import Note
 from usdskin.prims import (
@@ -89,6 +89,7 @@ def estimate_light(
     unscaled = captured_map(captured, calibrated, mixture, is_absolute, darkened)
     with clock("measure"):
         totals = add_up(unscaled, readings, progress)
+    check_totals(totals, unscaled, captured.where, notes)
     _note_darkened(captured.where, sum(darkened.values()), unscaled, notes)
     scale = find_scale(captured, totals, unscaled.xyz[:, 1], calibrated.units == "absolute", notes)
     background = Background(

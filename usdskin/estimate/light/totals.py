@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from usdskin.errors import ImageError
 from usdskin.estimate.light.light_map import LightMap
 from usdskin.latlong import latlong_coordinates, texel_directions, texel_solid_angles
 from usdskin.meters import cosine_weights, radiance_at, texel_vectors
+from usdskin.notes import Note
 from usdskin.progress import Progress
 
 FloatArray = NDArray[np.float64]
@@ -17,6 +19,9 @@ FloatImage = NDArray[np.float32]
 
 SPOT_RADIUS_DEG = 0.5
 """Of the usual spot meter, which accepts one degree [deg]."""
+
+NOTED_NEGATIVE_SHARE = 0.05
+"""Share of negative energy from which a note is made [1]."""
 
 _UP = (0.0, 1.0, 0.0)
 _SAMPLE_COUNT = 1 << 16
@@ -65,6 +70,31 @@ class Totals:
 
     is_sampled: bool
     """Whether that was found from some of the texels."""
+
+
+def check_totals(totals: Totals, light: LightMap, where: str, notes: list[Note]) -> None:
+    """Refuse a map without light, and note one whose spectra are negative to a large part.
+
+    Args:
+        totals: What the map adds up to.
+        light: The map.
+        where: What it was read from, for errors and notes.
+        notes: Takes the note.
+
+    Raises:
+        ImageError: There is no light in it.
+    """
+    if not float(totals.mean @ light.xyz[:, 1]) > 0.0:
+        raise ImageError(f"{where}: is black, so there is no light to estimate; give another")
+    if totals.negative_share > NOTED_NEGATIVE_SHARE:
+        notes.append(
+            Note(
+                "negative-energy",
+                where,
+                f"{totals.negative_share:.1%} of the energy of its spectra is negative; the lamp, "
+                "the white or the calibration does not fit its colors",
+            )
+        )
 
 
 def add_up(light: LightMap, readings: Readings, progress: Progress) -> Totals:

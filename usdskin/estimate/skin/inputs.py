@@ -86,6 +86,12 @@ def columns_of(samples: SkinSamples, count: int) -> Columns:
                 f"{samples.where}: samples:wavelengths has {len(samples.wavelength_nm)} values but "
                 f"each reading {count}; give one per column"
             )
+        first, last = samples.wavelength_nm[0], samples.wavelength_nm[-1]
+        if last < 400.0 or first > 700.0:
+            raise LayerError(
+                f"{samples.where}: its wavelengths go from {first:g} to {last:g} nm, where nothing "
+                "is seen; measure between 400 and 700 nm"
+            )
         return Columns(samples.wavelength_nm)
     if samples.camera is None:
         raise LayerError(

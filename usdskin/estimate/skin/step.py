@@ -8,14 +8,14 @@ Writes: ``skin.usda``, a Material with ``SkinMaterialAPI`` and the fit it came f
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from usdskin.device import open_workers
 from usdskin.errors import LayerError, UsageError
 from usdskin.estimate.skin.fit import FitOptions, SkinFit, fit_skin
-from usdskin.estimate.skin.inputs import Columns, columns_of, read_samples
+from usdskin.estimate.skin.inputs import Columns, columns_of, read_samples, recovery_of
 from usdskin.estimate.skin.photographs import sample_photographs
 from usdskin.estimate.skin.publish import publish_skin
 from usdskin.estimate.skin.readings import Readings
@@ -167,11 +167,8 @@ def _photographed_columns(samples: SkinSamples) -> Columns:
     if emission is None or emission.quantity is SpectralQuantity.REFLECTANCE:
         return columns_of(samples, 3)
     grid = samples.camera.wavelength_nm
-    known = replace(samples, wavelength_nm=None)
-    try:
-        recovery = columns_of(known, 3).recovery
-    except LayerError:
-        recovery = None
+    # The lights tell their spectrum; a class that is named all the same has to be known.
+    recovery = recovery_of(samples, samples.camera) if samples.light_class else None
     return Columns(grid, samples.camera, recovery, emission.resample(grid))
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from usdskin.colorimetry import color_space_names
-from usdskin.errors import LayerError, UsageError
+from usdskin.errors import ImageError, LayerError, UsageError
 from usdskin.estimate.skin.albedo import AlbedoWeights, weights_of_albedo
 from usdskin.images import Image, Part, read_image, write_exr
 from usdskin.layers import (
@@ -99,6 +99,7 @@ def estimate_textured_skin(
     image = read_image(albedo)
     space = color_space or image.color_space or _usual_space(image)
     pixels = _rgb(image, albedo)
+    _check_range(pixels, albedo, notes)
     found = weights_of_albedo(pixels, space, where=str(albedo), notes=notes)
     skin = _like(like, albedo, notes)
     stage = _layer(albedo, output, weights_path, found, skin)
@@ -115,6 +116,22 @@ def estimate_textured_skin(
 
 def _usual_space(image: Image) -> str:
     return "srgb_rec709_scene" if image.sample_type in _WHOLE_NUMBERS else "lin_rec709_scene"
+
+
+def _check_range(pixels: Any, path: Path, notes: list[Note]) -> None:
+    """Refuse negative reflectance, and note more than all the light."""
+    below = np.argwhere((pixels < 0.0).any(axis=2))
+    if len(below):
+        y, x = below[0]
+        raise ImageError(
+            f"{path}: the texel at x {x}, y {y} is negative ({float(pixels[y, x].min()):g}); a "
+            "reflectance is 0 or more, so mend it"
+        )
+    above = (pixels > 1.0).any(axis=2)
+    if above.any():
+        text = f"{int(above.sum())} of {above.size} texels reflect more than all the light, up to "
+        text += f"{float(pixels.max()):.3g}; is it an albedo?"
+        notes.append(Note("albedo-above-one", str(path), text))
 
 
 def _rgb(image: Image, path: Path) -> Any:
