@@ -22,6 +22,7 @@ from usdskin.colorimetry import (
 )
 from usdskin.differences import delta_e_of_signals
 from usdskin.estimate.skin.prior import shipped_prior
+from usdskin.estimate.skin.spectra import MeasuredReflectance
 from usdskin.illuminants import illuminant
 from usdskin.images import Part, read_image, write_exr, write_png
 from usdskin.layers import open_stage, write_layer
@@ -204,6 +205,19 @@ def test_a_spectrophotometer_sets_the_reflectance(tmp_path):
     k = (1.0 + 2.0 * skin.wrap) / (1.0 + skin.wrap)
     lit = skin.alpha * skin.reflectance.resample(NM) * (1.0 + k * skin.scattering.resample(NM))
     np.testing.assert_allclose(lit, read, rtol=1e-4)
+
+
+def test_what_an_instrument_reads_is_the_wrap_lobe_over_its_light():
+    """Against eq. (1) integrated over the light of each geometry, over that of a white surface."""
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    cosine, weights = 0.5 * (nodes + 1.0), 0.5 * weights
+    spectrum = Spectrum(SpectralQuantity.REFLECTANCE, NM, S)
+    for wrap in (0.0, 0.35, 1.0):
+        lobe = (cosine + wrap) / (1.0 + wrap)
+        diffuse = (weights * lobe).sum() / (weights * cosine).sum()
+        assert MeasuredReflectance(spectrum, "di8").share(wrap) == pytest.approx(diffuse)
+        at_45 = ((np.cos(np.pi / 4) + wrap) / (1.0 + wrap)) / np.cos(np.pi / 4)
+        assert MeasuredReflectance(spectrum, "45to0").share(wrap) == pytest.approx(at_45)
 
 
 def test_lustre_is_refused_or_fitted_never_ignored_silently(tmp_path, capsys):

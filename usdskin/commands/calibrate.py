@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from usdskin.commands.drawing import check_plot, draw_plot
 from usdskin.commands.options import StepCommand, names, with_paragraph_marks
 from usdskin.commands.reporter import GlobalOptions, Reporter
 from usdskin.errors import UsageError
@@ -245,10 +246,7 @@ def camera(
     with Reporter(options) as reporter:
         import numpy as np
 
-        if plot is not None:
-            from usdskin.plots.step import check_figure
-
-            check_figure(plot, output, [*charts])
+        check_plot(plot, output, [*charts])
 
         from usdskin.estimate.camera.report import report_of
         from usdskin.estimate.camera.step import CalibrationOptions, calibrate_camera
@@ -265,22 +263,9 @@ def camera(
             ),
             reporter.progress(),
         )
-        reporter.notes(result.notes)
-        reporter.seconds(result.seconds)
-        report = report_of(result)
-        reporter.event("calibration", **report.as_dict())
-        if not reporter.json and not reporter.quiet:
-            for line in report.lines():
-                click.echo(line, err=True)
+        reporter.result("calibration", result, report_of(result))
         reporter.wrote([result.path])
-        if plot is not None:
-            from usdskin.notes import Note
-            from usdskin.plots.step import plot_file
-
-            drawn: list[Note] = []
-            written = plot_file(result.path, plot, notes=drawn)
-            reporter.notes(drawn)
-            reporter.wrote([written])
+        draw_plot(reporter, plot, result.path)
 
 
 COMMANDS: tuple[click.Command, ...] = (calibrate,)

@@ -79,12 +79,7 @@ def capture(options: GlobalOptions, /, shoot: Path, output: Path, **given: Any) 
             CaptureOptions(**given, device=options.device, threads=options.threads),
             reporter.progress(),
         )
-        reporter.notes(result.notes)
-        reporter.seconds(result.seconds)
-        reporter.event("capture", **result.report.as_dict())
-        if not reporter.json and not reporter.quiet:
-            for line in result.report.lines():
-                click.echo(line, err=True)
+        reporter.result("capture", result, result.report)
         reporter.wrote(result.paths)
 
 

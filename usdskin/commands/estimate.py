@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from usdskin.commands.drawing import check_plot, draw_plot
 from usdskin.commands.options import StepCommand, with_paragraph_marks
 from usdskin.commands.reporter import GlobalOptions, Reporter
 from usdskin.errors import UsageError
@@ -102,26 +103,11 @@ def light(
         usdskin estimate light studio.hdr --illuminant FL2 -o light.usda
     """
     with Reporter(options) as reporter:
-        if plot is not None:
-            from usdskin.plots.step import check_figure
-
-            check_figure(plot, output, [source, given["camera"], given["class_map"]])
+        check_plot(plot, output, [source, given["camera"], given["class_map"]])
         result = _estimate(reporter, source, output, given)
-        reporter.notes(result.notes)
-        reporter.seconds(result.seconds)
-        reporter.event("light", **result.report.as_dict())
-        if not reporter.json and not reporter.quiet:
-            for line in result.report.lines():
-                click.echo(line, err=True)
+        reporter.result("light", result, result.report)
         reporter.wrote(result.paths)
-        if plot is not None:
-            from usdskin.notes import Note
-            from usdskin.plots.step import plot_file
-
-            drawn: list[Note] = []
-            written = plot_file(output, plot, notes=drawn)
-            reporter.notes(drawn)
-            reporter.wrote([written])
+        draw_plot(reporter, plot, output)
 
 
 def _estimate(reporter: Reporter, source: Path, output: Path, given: dict[str, Any]) -> Any:
@@ -243,10 +229,7 @@ def skin(
             return
         if like is not None or color_space is not None:
             raise UsageError("--like and --color-space belong to an albedo picture; leave them out")
-        if plot is not None:
-            from usdskin.plots.step import check_figure
-
-            check_figure(plot, output, [source])
+        check_plot(plot, output, [source])
         from usdskin.estimate.skin.step import SkinOptions, estimate_skin
 
         result = estimate_skin(
@@ -255,21 +238,9 @@ def skin(
             SkinOptions(**given, device=options.device, threads=options.threads),
             reporter.progress(),
         )
-        reporter.notes(result.notes)
-        reporter.seconds(result.seconds)
-        reporter.event("skin", **result.report.as_dict())
-        if not reporter.json and not reporter.quiet:
-            for line in result.report.lines():
-                click.echo(line, err=True)
+        reporter.result("skin", result, result.report)
         reporter.wrote([result.path])
-        if plot is not None:
-            from usdskin.notes import Note
-            from usdskin.plots.step import plot_file
-
-            drawn: list[Note] = []
-            written = plot_file(output, plot, notes=drawn)
-            reporter.notes(drawn)
-            reporter.wrote([written])
+        draw_plot(reporter, plot, output)
 
 
 def _refuse_fit_options(given: dict[str, Any], plot: Path | None) -> None:

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from usdskin.errors import FramesError, UsageError
 from usdskin.progress import JsonProgress, PlainProgress, Progress, SilentProgress, TerminalProgress
@@ -20,6 +20,28 @@ from usdskin.progress import JsonProgress, PlainProgress, Progress, SilentProgre
 if TYPE_CHECKING:
     from usdskin.notes import Note
     from usdskin.render.settings import RenderReport
+
+
+class StepResult(Protocol):
+    """What every step that measures something returns."""
+
+    @property
+    def notes(self) -> list[Note]:
+        """What could not be honoured or needs attention."""
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Time each part took [s]."""
+
+
+class StepReport(Protocol):
+    """What such a step found."""
+
+    def lines(self) -> Iterable[str]:
+        """Return it for people."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it for programs."""
 
 
 @dataclass(slots=True)
@@ -77,6 +99,15 @@ class Reporter:
         elif self.verbose:
             for part, value in seconds.items():
                 print(f"usdskin: {part}: {value:.3f} s", file=sys.stderr)
+
+    def result(self, event: str, result: StepResult, report: StepReport) -> None:
+        """Tell what a step noted, how long it took and what it found; ``wrote`` tells the files."""
+        self.notes(result.notes)
+        self.seconds(result.seconds)
+        self.event(event, **report.as_dict())
+        if not self.json and not self.quiet:
+            for line in report.lines():
+                print(line, file=sys.stderr)
 
     def progress(self) -> Progress:
         """Return the progress that suits the options and where stderr goes."""

@@ -27,9 +27,6 @@ class Columns:
     camera: SpectralCamera | None = None
     """The camera, where columns are its channels."""
 
-    recovery: Recovery | None = None
-    """Its recovery in the light of the readings."""
-
     illuminant: FloatArray | None = None
     """The light on the camera's grid, in any scale, shape [n]."""
 
@@ -104,7 +101,7 @@ def columns_of(samples: SkinSamples, count: int) -> Columns:
             "G, B"
         )
     recovery = recovery_of(samples, samples.camera)
-    return Columns(samples.camera.wavelength_nm, samples.camera, recovery, recovery.illuminant)
+    return Columns(samples.camera.wavelength_nm, samples.camera, recovery.illuminant)
 
 
 def recovery_of(samples: SkinSamples, camera: SpectralCamera) -> Recovery:

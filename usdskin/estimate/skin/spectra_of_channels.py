@@ -207,27 +207,3 @@ def smoothest(
     design = np.concatenate([_EXACT * rows, rough])
     bounded = lsq_linear(design, wanted, bounds=(0.0, max(largest, 1e-9)), method="bvls")
     return np.asarray(bounded.x), gain
-
-
-def reflectance_by_recovery(
-    matrix: ArrayLike, responsivity: ArrayLike, illuminant: ArrayLike
-) -> ReflectanceOf:
-    """Return a prior that is a calibration's recovery matrix for the light of the readings.
-
-    Args:
-        matrix: Of ``SpectralRecoveryAPI``: radiance = matrix @ camera values, shape [n, c].
-        responsivity: t of the camera, shape [n, c].
-        illuminant: E, the radiance of a perfect diffuser in that light, shape [n].
-    """
-    light = np.asarray(illuminant, dtype=np.float64)
-    white = light @ np.asarray(responsivity, dtype=np.float64)
-    # Where the lamp has no power the quotient means nothing; a thousandth of its peak is a floor.
-    floor = np.maximum(light, 1e-3 * light.max())
-    linear = np.asarray(matrix, dtype=np.float64) * white / floor[:, None]
-
-    def reflectance_of(values: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        spectrum = np.maximum(linear @ values, 0.0)
-        variance = np.einsum("ij,jk,ik->i", linear, covariance, linear)
-        return spectrum, np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-    return reflectance_of

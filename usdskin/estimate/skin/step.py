@@ -27,7 +27,6 @@ from usdskin.notes import Note
 from usdskin.prims import SkinSamples, read_skin_samples
 from usdskin.progress import Progress, SilentProgress
 from usdskin.replacing import scratch_beside
-from usdskin.spectrum import SpectralQuantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,12 +163,13 @@ def _photographed_columns(samples: SkinSamples) -> Columns:
     emission = None
     if samples.lights and samples.lights[0].spectral is not None:
         emission = samples.lights[0].spectral.emission
-    if emission is None or emission.quantity is SpectralQuantity.REFLECTANCE:
+    if emission is None:
         return columns_of(samples, 3)
     grid = samples.camera.wavelength_nm
     # The lights tell their spectrum; a class that is named all the same has to be known.
-    recovery = recovery_of(samples, samples.camera) if samples.light_class else None
-    return Columns(grid, samples.camera, recovery, emission.resample(grid))
+    if samples.light_class:
+        recovery_of(samples, samples.camera)
+    return Columns(grid, samples.camera, emission.resample(grid))
 
 
 def _fit_options(options: SkinOptions) -> FitOptions:
