@@ -22,6 +22,8 @@ from usdskin.colorimetry import (
 )
 from usdskin.differences import delta_e_of_signals
 from usdskin.estimate.skin.prior import shipped_prior
+from usdskin.estimate.skin.publish import _azimuth
+from usdskin.estimate.skin.readings import readings_from_angles
 from usdskin.estimate.skin.spectra import MeasuredReflectance
 from usdskin.illuminants import illuminant
 from usdskin.images import Part, read_image, write_exr, write_png
@@ -218,6 +220,13 @@ def test_what_an_instrument_reads_is_the_wrap_lobe_over_its_light():
         assert MeasuredReflectance(spectrum, "di8").share(wrap) == pytest.approx(diffuse)
         at_45 = ((np.cos(np.pi / 4) + wrap) / (1.0 + wrap)) / np.cos(np.pi / 4)
         assert MeasuredReflectance(spectrum, "45to0").share(wrap) == pytest.approx(at_45)
+
+
+def test_azimuths_are_published_as_they_were_given():
+    """With their sign: a left and a right turn of the camera are not one."""
+    azimuth = [70.0, -110.0]
+    readings = readings_from_angles([30.0, 50.0], [20.0, 40.0], azimuth, np.ones((2, 1)))
+    np.testing.assert_allclose(_azimuth(readings), azimuth)
 
 
 def test_lustre_is_refused_or_fitted_never_ignored_silently(tmp_path, capsys):
