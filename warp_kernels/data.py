@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from usdskin.warp_kernels.film import MAX_LAYERS, camera_ray, surface_opacity, surface_point
+from usdskin.warp_kernels.film import MAX_LAYERS, camera_ray, surface_point
 from usdskin.warp_kernels.lookup import latlong_coordinates
 from usdskin.warp_kernels.skin import Point, diffuse_light, read_input
 from usdskin.warp_kernels.structs import (
@@ -14,6 +14,7 @@ from usdskin.warp_kernels.structs import (
     Lights,
     Materials,
 )
+from usdskin.warp_kernels.visibility import surface_opacity
 
 wp.set_module_options({"enable_backward": False})
 

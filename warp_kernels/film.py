@@ -7,7 +7,10 @@ import warp as wp
 from usdskin.warp_kernels.lookup import lookup_dome
 from usdskin.warp_kernels.skin import (
     Point,
-    read_input,
+    reflect_preview_surface,
+    reflect_skin,
+    shade_emission,
+    shade_gloss,
     shade_preview_surface,
     shade_skin,
 )
@@ -19,6 +22,7 @@ from usdskin.warp_kernels.structs import (
     Lights,
     Materials,
 )
+from usdskin.warp_kernels.visibility import surface_opacity
 
 wp.set_module_options({"enable_backward": False})
 
@@ -93,9 +97,12 @@ def surface_point(
         normal = normal / length
     else:
         normal = wp.normalize(cross)
+    point.geometric = wp.normalize(cross)
     if wp.dot(cross, ray.direction) > 0.0:
         normal = -normal
+        point.geometric = -point.geometric
     point.normal = normal
+    point.prim = geometry.prim[face]
     grazing = wp.max(wp.dot(normal, point.view), 0.05)
     point.footprint = (ray.width + ray.spread * t) / wp.sqrt(grazing)
     return point
@@ -148,18 +155,6 @@ def finish_rows(
             part += value[2] * materials.band[at + 2, g] + value[3] * materials.band[at + 3, g]
             film.spectrum[pixel, g] += part
         film.channel[pixel, q] = wp.vec4f(0.0, 0.0, 0.0, 0.0)
-
-
-@wp.func
-def surface_opacity(geometry: Geometry, materials: Materials, point: Point) -> wp.float32:
-    """Return opacity, cut at the material's threshold where it has one."""
-    opacity = wp.clamp(read_input(geometry, materials, point, INPUT_OPACITY)[0], 0.0, 1.0)
-    threshold = materials.constant[point.material, INPUT_OPACITY][1]
-    if threshold > 0.0:
-        if opacity >= threshold:
-            return 1.0
-        return 0.0
-    return opacity
 
 
 @wp.func
@@ -248,11 +243,14 @@ def _picture_kernel(
                 finish_rows(materials, film, pixel, current, share)
                 current = point.material
             if materials.kind[current] == 1:
-                shade_skin(geometry, lights, materials, film, pixel, point, clear)
+                r = reflect_skin(geometry, lights, materials, point, clear)
+                shade_skin(geometry, lights, materials, film, pixel, point, r, 1.0)
+                shade_gloss(lights, materials, film, pixel, point, r)
             elif opacity > 0.0 or shines_when_clear(materials, current):
-                shade_preview_surface(
-                    geometry, lights, materials, film, pixel, point, clear, opacity
-                )
+                r = reflect_preview_surface(geometry, lights, materials, point, clear, opacity)
+                shade_preview_surface(lights, materials, film, pixel, point, r)
+                shade_gloss(lights, materials, film, pixel, point, r)
+                shade_emission(geometry, lights, materials, film, pixel, point, r)
             alpha += clear * opacity
             clear = clear * (1.0 - opacity)
             start = distance * 1.000001 + 1.0e-6

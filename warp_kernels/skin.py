@@ -49,6 +49,10 @@ class Point:
     position: wp.vec3f
     normal: wp.vec3f
     """Unit shading normal, turned to the viewer's side."""
+    geometric: wp.vec3f
+    """Unit normal of the triangle, on the viewer's side."""
+    prim: wp.int32
+    """Index of its mesh."""
     view: wp.vec3f
     """Unit direction towards the viewer."""
     footprint: wp.float32
@@ -165,7 +169,7 @@ def diffuse_light(
 
 
 @wp.func
-def _ggx(alpha: wp.float32, nh: wp.float32, nl: wp.float32, nv: wp.float32) -> wp.float32:
+def ggx(alpha: wp.float32, nh: wp.float32, nl: wp.float32, nv: wp.float32) -> wp.float32:
     """Return D G2 / (4 n.v) of the GGX microfacet lobe (Walter et al. 2007, Heitz 2014)."""
     a2 = alpha * alpha
     d = nh * nh * (a2 - 1.0) + 1.0
@@ -194,21 +198,21 @@ def _lobe(
             size = wp.length(lights.lamp_azimuth[k])
             wide = wp.clamp(alpha + 0.5 * size, 1.0e-3, 1.0)
             rise = wp.pow(1.0 - wp.clamp(wp.dot(point.view, half), 0.0, 1.0), 5.0)
-            lobe = _ggx(wide, wp.dot(point.normal, half), nl, nv)
+            lobe = ggx(wide, wp.dot(point.normal, half), nl, nv)
             total += (lobe * (tint * (1.0 - rise) + white * rise)) * lights.lamp_flux[k]
     return total
 
 
 @wp.func
-def _passage_entry(materials: Materials, material: wp.int32, thickness: wp.float32) -> wp.float32:
-    """Return where a path length lies in the material's table of exp(-s delta)."""
+def passage_entry(materials: Materials, material: wp.int32, thickness: wp.float32) -> wp.float32:
+    """Return where a path length [m] lies in the material's table of exp(-s delta)."""
     scale = materials.passage_scale[material]
     s = wp.max(thickness, 0.0)
     return wp.min(s / (s + scale[0]) * scale[1], wp.float32(materials.passage.shape[1] - 1))
 
 
 @wp.func
-def _passage_weight(
+def passage_weight(
     materials: Materials, material: wp.int32, entry: wp.float32, k: wp.int32
 ) -> wp.float32:
     """Return f_k(s), linear between the table's entries."""
@@ -220,50 +224,118 @@ def _passage_weight(
 
 
 @wp.func
-def _base_weight(low: wp.vec4f, high: wp.vec4f, j: wp.int32) -> wp.float32:
+def base_weight(low: wp.vec4f, high: wp.vec4f, j: wp.int32) -> wp.float32:
+    """Return the weight of base j, of eight."""
     if j < 4:
         return low[j]
     return high[j - 4]
 
 
+@wp.struct
+class Reflection:
+    """What a surface makes of light, its textures read and its layers weighed."""
+
+    weight: wp.float32
+    """Share of the sample that sees this surface [1]."""
+
+    diffuse: wp.float32
+    """Weight of the diffuse rows: the share the layers above let pass [1]."""
+
+    low: wp.vec4f
+    high: wp.vec4f
+    """Base weights: 1, RGB or basis weights [1]."""
+
+    nv: wp.float32
+    """Cosine of the view angle."""
+
+    shine: wp.float32
+    """Weight of the reflections; 0 where there are none [1]."""
+
+    alpha: wp.float32
+    second_alpha: wp.float32
+    """GGX alpha of the lobes."""
+
+    second: wp.float32
+    """Share of the second lobe [1]."""
+
+    f0: wp.float32
+    """Reflectance at normal incidence of the untinted lobes [1]."""
+
+    coat: wp.float32
+    coat_alpha: wp.float32
+    """Weight and GGX alpha of a clearcoat."""
+
+    tint: wp.vec4f
+    """Weights of the tinted reflection, one a base."""
+
+    tints: wp.int32
+    """How many of them are in use."""
+
+    entry: wp.float32
+    """Where the thickness lies in the table of exp(-s delta)."""
+
+
+@wp.func
+def deposit(
+    materials: Materials, film: Film, pixel: wp.int32, material: wp.int32, row: wp.int32,
+    value: wp.vec4f,
+) -> wp.float32:  # fmt: skip
+    """Add light to one row of a pixel's scratch; return its Y."""
+    film.channel[pixel, row] += value
+    return wp.dot(materials.xyz_y[materials.row[material] + row], value)
+
+
+@wp.func
+def reflect_skin(
+    geometry: Geometry, lights: Lights, materials: Materials, point: Point, weight: wp.float32
+) -> Reflection:
+    """Read a skin's maps. Its two GGX lobes lie above and take their albedo from below."""
+    r = Reflection()
+    m = point.material
+    r.weight = weight
+    r.low = read_input(geometry, materials, point, INPUT_BASE)
+    if materials.weight_count[m] > 4:
+        r.high = read_input(geometry, materials, point, INPUT_BASE_HIGH)
+    r.nv = wp.max(wp.dot(point.normal, point.view), 1.0e-4)
+    r.diffuse = weight
+    if (materials.flags[m] & 4) != 0:
+        lobes = materials.constant[m, INPUT_LOBES]
+        r.f0 = materials.constant[m, INPUT_SPECULAR][0]
+        r.alpha = lobes[1]
+        r.second_alpha = lobes[2]
+        r.second = lobes[3]
+        first = lookup_fresnel(lights, r.alpha, r.nv)
+        second = lookup_fresnel(lights, r.second_alpha, r.nv)
+        albedo = (1.0 - r.second) * (r.f0 * first[0] + first[1])
+        albedo += r.second * (r.f0 * second[0] + second[1])
+        r.shine = weight * lobes[0]
+        r.diffuse = weight * (1.0 - lobes[0] * albedo)
+    if materials.passage_rank[m] > 0:
+        thickness = read_input(geometry, materials, point, INPUT_THICKNESS)[0]
+        r.entry = passage_entry(materials, m, thickness)
+    return r
+
+
 @wp.func
 def shade_skin(
     geometry: Geometry, lights: Lights, materials: Materials, film: Film, pixel: wp.int32,
-    point: Point, weight: wp.float32,
-):  # fmt: skip
-    """Deposit skin: both diffuse terms, the part that crosses the body, and the lustre.
+    point: Point, r: Reflection, behind: wp.float32,
+) -> wp.float32:  # fmt: skip
+    """Deposit the diffuse terms of skin under unshadowed light, and what crosses its thickness.
 
     C = (1/pi) alpha S [J1 + Ss (J2front + exp(-s delta) J2back)], DESIGN section 2; alpha, S, Ss,
-    delta and 1/pi are in the rows. The two GGX lobes lie above and take their albedo from below.
+    delta and 1/pi are in the rows. ``behind`` weighs J2back. Returns the Y deposited.
     """
     m = point.material
     groups = lights.group_count
-    low = read_input(geometry, materials, point, INPUT_BASE)
-    high = wp.vec4f(0.0, 0.0, 0.0, 0.0)
     bases = materials.weight_count[m]
-    if bases > 4:
-        high = read_input(geometry, materials, point, INPUT_BASE_HIGH)
-    glossy = (materials.flags[m] & 4) != 0
-    lobes = materials.constant[m, INPUT_LOBES]
-    f0 = materials.constant[m, INPUT_SPECULAR][0]
-    nv = wp.max(wp.dot(point.normal, point.view), 1.0e-4)
-    passed = float(weight)
-    if glossy:
-        first = lookup_fresnel(lights, lobes[1], nv)
-        second = lookup_fresnel(lights, lobes[2], nv)
-        albedo = (1.0 - lobes[3]) * (f0 * first[0] + first[1])
-        albedo += lobes[3] * (f0 * second[0] + second[1])
-        passed = weight * (1.0 - lobes[0] * albedo)
     wrap_set = materials.wrap_set[m]
     wrap = lights.wrap[wrap_set]
     rank = materials.passage_rank[m]
-    entry = float(0.0)
-    if rank > 0:
-        thickness = read_input(geometry, materials, point, INPUT_THICKNESS)[0]
-        entry = _passage_entry(materials, m, thickness)
     coordinates = latlong_coordinates(point.normal)
     kernels = wp.where(rank > 0, 3, 2)
     span = bases * groups
+    y = float(0.0)
     for g in range(groups):
         light = diffuse_light(lights, wrap_set, kernels, g, point.normal, coordinates)
         j1 = light.lambert
@@ -271,42 +343,48 @@ def shade_skin(
         back = wp.vec4f(0.0, 0.0, 0.0, 0.0)
         if rank > 0:
             front = (j1 + wrap * light.front) / (1.0 + wrap)
-            back = passed * (j2 - front)
+            back = (r.diffuse * behind) * (j2 - front)
             j2 = front
         for j in range(bases):
-            a = passed * _base_weight(low, high, j)
+            a = r.diffuse * base_weight(r.low, r.high, j)
             row = j * groups + g
-            film.channel[pixel, row] += a * j1
-            film.channel[pixel, span + row] += a * j2
-        for k in range(rank):
-            through = _passage_weight(materials, m, entry, k) * back
-            for j in range(bases):
-                row = (2 + k) * span + j * groups + g
-                film.channel[pixel, row] += _base_weight(low, high, j) * through
-    if glossy:
-        mirror = wp.normalize(2.0 * nv * point.normal - point.view)
-        toward = latlong_coordinates(mirror)
-        for g in range(groups):
-            shine = (1.0 - lobes[3]) * _lobe(lights, g, lobes[1], point, nv, toward, f0, 1.0)
-            shine += lobes[3] * _lobe(lights, g, lobes[2], point, nv, toward, f0, 1.0)
-            film.channel[pixel, (2 + rank) * span + g] += (weight * lobes[0]) * shine
+            y += deposit(materials, film, pixel, m, row, a * j1)
+            y += deposit(materials, film, pixel, m, span + row, a * j2)
+        if behind > 0.0:
+            for k in range(rank):
+                through = passage_weight(materials, m, r.entry, k) * back
+                for j in range(bases):
+                    row = (2 + k) * span + j * groups + g
+                    value = base_weight(r.low, r.high, j) * through
+                    y += deposit(materials, film, pixel, m, row, value)
+    return y
 
 
 @wp.func
-def shade_preview_surface(
-    geometry: Geometry, lights: Lights, materials: Materials, film: Film, pixel: wp.int32,
-    point: Point, weight: wp.float32, opacity: wp.float32,
-):  # fmt: skip
-    """Deposit a UsdPreviewSurface: Lambert, GGX by either workflow, clearcoat and emission.
+def first_glossy_row(lights: Lights, materials: Materials, material: wp.int32) -> wp.int32:
+    """Return the row of a material's white reflections, which follow its diffuse rows."""
+    passes = 1
+    if materials.kind[material] == 1:
+        passes = 2 + 2 * materials.passage_rank[material]
+    return passes * materials.weight_count[material] * lights.group_count
+
+
+@wp.func
+def reflect_preview_surface(
+    geometry: Geometry, lights: Lights, materials: Materials, point: Point, weight: wp.float32,
+    opacity: wp.float32,
+) -> Reflection:  # fmt: skip
+    """Read a UsdPreviewSurface: Lambert, GGX by either workflow, clearcoat.
 
     The specification's layering, made energy-aware: what a layer reflects, the next does not get.
     """
+    r = Reflection()
     m = point.material
-    groups = lights.group_count
     flags = materials.flags[m]
-    base = read_input(geometry, materials, point, INPUT_BASE)
+    r.weight = weight
+    r.low = read_input(geometry, materials, point, INPUT_BASE)
     bases = materials.weight_count[m]
-    nv = wp.max(wp.dot(point.normal, point.view), 1.0e-4)
+    r.nv = wp.max(wp.dot(point.normal, point.view), 1.0e-4)
     metallic = float(0.0)
     if (flags & 1) == 0:
         metallic = read_input(geometry, materials, point, INPUT_METALLIC)[0]
@@ -314,60 +392,93 @@ def shade_preview_surface(
     shine = float(weight)  # opacityMode transparent leaves reflections at full strength
     if (flags & 2) != 0:
         shine = solid
-    coat = float(0.0)
-    coat_alpha = float(0.0)
     if (flags & 32) != 0:
         coat = read_input(geometry, materials, point, INPUT_CLEARCOAT)[0]
         rough = read_input(geometry, materials, point, INPUT_CLEARCOAT_ROUGHNESS)[0]
-        coat_alpha = rough * rough
-        response = lookup_fresnel(lights, coat_alpha, nv)
+        r.coat = weight * coat
+        r.coat_alpha = rough * rough
+        response = lookup_fresnel(lights, r.coat_alpha, r.nv)
         solid = solid * (1.0 - coat * (0.04 * response[0] + response[1]))
         shine = shine * (1.0 - coat * (0.04 * response[0] + response[1]))
     rough = read_input(geometry, materials, point, INPUT_ROUGHNESS)[0]
-    alpha = rough * rough
+    r.alpha = rough * rough
+    r.second_alpha = r.alpha
     tint = read_input(geometry, materials, point, INPUT_SPECULAR)
-    dielectric = float(0.0)  # F0 of the untinted part
     highest = wp.max(tint[0], wp.max(tint[1], tint[2]))
     if (flags & 1) == 0:
-        dielectric = tint[0] * (1.0 - metallic)
+        r.f0 = tint[0] * (1.0 - metallic)
         highest = tint[0]
-    glossy = (flags & 4) != 0
-    diffuse = solid * (1.0 - metallic)
-    if glossy:
-        response = lookup_fresnel(lights, alpha, nv)
-        diffuse = diffuse * wp.max(1.0 - highest * response[0] - response[1], 0.0)
+    r.diffuse = solid * (1.0 - metallic)
+    if (flags & 4) != 0:
+        r.shine = shine
+        response = lookup_fresnel(lights, r.alpha, r.nv)
+        r.diffuse = r.diffuse * wp.max(1.0 - highest * response[0] - response[1], 0.0)
+    if (flags & 8) != 0:
+        r.tints = 3
+        r.tint = tint
+        if (flags & 1) == 0:
+            r.tints = bases
+            r.tint = metallic * r.low
+    return r
+
+
+@wp.func
+def shade_preview_surface(
+    lights: Lights, materials: Materials, film: Film, pixel: wp.int32, point: Point, r: Reflection
+) -> wp.float32:
+    """Deposit the diffuse part of a UsdPreviewSurface under unshadowed light; return its Y."""
+    m = point.material
+    groups = lights.group_count
     coordinates = latlong_coordinates(point.normal)
-    zero = wp.vec4f(0.0, 0.0, 0.0, 0.0)
     wrap_set = materials.wrap_set[m]
+    y = float(0.0)
     for g in range(groups):
         j1 = diffuse_light(lights, wrap_set, 1, g, point.normal, coordinates).lambert
-        for j in range(bases):
-            film.channel[pixel, j * groups + g] += (diffuse * _base_weight(base, zero, j)) * j1
-    row = bases * groups
-    if glossy:
-        mirror = wp.normalize(2.0 * nv * point.normal - point.view)
-        toward = latlong_coordinates(mirror)
-        for g in range(groups):
-            light = shine * _lobe(lights, g, alpha, point, nv, toward, dielectric, 1.0)
-            if coat > 0.0:
-                over = _lobe(lights, g, coat_alpha, point, nv, toward, 0.04, 1.0)
-                light += (weight * coat) * over
-            film.channel[pixel, row + g] += light
-        row = row + groups
-    if (flags & 8) != 0:
-        mirror = wp.normalize(2.0 * nv * point.normal - point.view)
-        toward = latlong_coordinates(mirror)
-        tints = 3
-        if (flags & 1) == 0:
-            tints = bases
-        for g in range(groups):
-            light = _lobe(lights, g, alpha, point, nv, toward, 1.0, 0.0)
-            for j in range(tints):
-                share = tint[wp.min(j, 3)]
-                if (flags & 1) == 0:
-                    share = metallic * _base_weight(base, zero, j)
-                film.channel[pixel, row + j * groups + g] += (shine * share) * light
-        row = row + tints * groups
-    if (flags & 16) != 0:
-        emission = read_input(geometry, materials, point, INPUT_EMISSION)
-        film.channel[pixel, row] += weight * wp.vec4f(emission[0], emission[1], emission[2], 0.0)
+        for j in range(materials.weight_count[m]):
+            value = (r.diffuse * base_weight(r.low, r.high, j)) * j1
+            y += deposit(materials, film, pixel, m, j * groups + g, value)
+    return y
+
+
+@wp.func
+def shade_gloss(
+    lights: Lights, materials: Materials, film: Film, pixel: wp.int32, point: Point, r: Reflection
+) -> wp.float32:
+    """Deposit prefiltered reflections: the white lobes, the clearcoat and the tinted lobe."""
+    if r.shine <= 0.0 and r.coat <= 0.0:
+        return 0.0
+    m = point.material
+    groups = lights.group_count
+    row = first_glossy_row(lights, materials, m)
+    mirror = wp.normalize(2.0 * r.nv * point.normal - point.view)
+    toward = latlong_coordinates(mirror)
+    y = float(0.0)
+    for g in range(groups):
+        light = (1.0 - r.second) * _lobe(lights, g, r.alpha, point, r.nv, toward, r.f0, 1.0)
+        if r.second > 0.0:
+            light += r.second * _lobe(lights, g, r.second_alpha, point, r.nv, toward, r.f0, 1.0)
+        light = r.shine * light
+        if r.coat > 0.0:
+            light += r.coat * _lobe(lights, g, r.coat_alpha, point, r.nv, toward, 0.04, 1.0)
+        y += deposit(materials, film, pixel, m, row + g, light)
+        if r.tints > 0:
+            light = r.shine * _lobe(lights, g, r.alpha, point, r.nv, toward, 1.0, 0.0)
+            for j in range(r.tints):
+                at = row + (1 + j) * groups + g
+                y += deposit(materials, film, pixel, m, at, r.tint[wp.min(j, 3)] * light)
+    return y
+
+
+@wp.func
+def shade_emission(
+    geometry: Geometry, lights: Lights, materials: Materials, film: Film, pixel: wp.int32,
+    point: Point, r: Reflection,
+) -> wp.float32:  # fmt: skip
+    """Deposit what a surface emits, in its last row."""
+    m = point.material
+    if (materials.flags[m] & 16) == 0:
+        return 0.0
+    row = materials.row_count[m] - 1
+    emission = read_input(geometry, materials, point, INPUT_EMISSION)
+    value = r.weight * wp.vec4f(emission[0], emission[1], emission[2], 0.0)
+    return deposit(materials, film, pixel, m, row, value)

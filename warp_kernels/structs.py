@@ -147,6 +147,13 @@ class Materials:
     """(scale [m], entries per unit of s / (s + scale)); (1, 0) where s is constant, shape
     [material_count]."""
 
+    passage_limit: wp.array[wp.float32]
+    """Way through a body beyond which no light is left [m]; 0 where it is clear, shape
+    [material_count]."""
+
+    row_part: wp.array[wp.int32]
+    """0 diffuse, 1 specular, 2 emission, 3 indirect, shape [row_count]."""
+
     flags: wp.array[wp.int32]
     """Bit 0 specular workflow, 1 presence opacity, 2 specular rows, 3 tinted specular rows,
     4 emission row, 5 clearcoat."""

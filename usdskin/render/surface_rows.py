@@ -29,6 +29,12 @@ PASSAGE_ENTRIES = 512
 PASSAGE_TOLERANCE = 1.0e-5
 """Largest error of its low-rank form, of 1."""
 
+LEAST_CLEAR = 1.0e-4
+"""Share of light that a body is taken to stop altogether."""
+
+NO_LIMIT = 1.0e18
+"""Path length [m] that no body reaches."""
+
 PREVIEW, SKIN, DOME = 0, 1, 2
 """``Materials.kind``."""
 
@@ -67,6 +73,9 @@ class Passage:
     last: float
     """s / (s + scale) of the table's last entry; 0 where the path length is constant."""
 
+    limit: float
+    """Path length beyond which less than ``LEAST_CLEAR`` is left in every band [m]."""
+
 
 @dataclass(slots=True, eq=False)
 class MaterialRows:
@@ -77,6 +86,8 @@ class MaterialRows:
     """Reflectances the base weights multiply, shape [base_count, bands]."""
     rows: list[FloatArray] = field(default_factory=list)
     """Spectra of four channels each, shape [4, bands]."""
+    diffuse_count: int = 0
+    """How many rows, the first ones, are diffuse."""
     wrap: float = 0.0
     flags: int = 0
     passage: Passage | None = None
@@ -119,7 +130,7 @@ def gloss_alphas(
 
 def dome_rows(light: FloatArray) -> MaterialRows:
     """Return what the camera sees of the domes: the light's channels themselves."""
-    return MaterialRows(DOME, np.ones((1, light.shape[2])), list(light))
+    return MaterialRows(DOME, np.ones((1, light.shape[2])), list(light), len(light))
 
 
 def skin_rows(
@@ -128,7 +139,11 @@ def skin_rows(
     frame: SpectralFrame,
     thickness_range: dict[str, float],
 ) -> MaterialRows:
-    """Return S (J1 + Ss (J2front + exp(-s delta) J2back)) alpha / pi, and the lustre above it."""
+    """Return the rows of eq. (1), each with alpha / pi, and of the lustre above it.
+
+    S J1, S Ss J2, then per term of exp(-s delta) S Ss g_k J2 and S g_k J1: the light that crosses
+    the body, which reaches the last of them only where rays measure the way (``traced``).
+    """
     skin = material.parameters
     nm = frame.wavelength_nm
     row = MaterialRows(SKIN, _skin_bases(material, frame), wrap=_wrap(material))
@@ -146,9 +161,11 @@ def skin_rows(
     if opacity.max(initial=0.0) > 0.0:
         row.passage = _passage(material, opacity, thickness_range)
         passes += [row.bases * scattering * through for through in row.passage.spectra]
+        passes += [row.bases * through for through in row.passage.spectra]
     for reflectances in passes:
         for spectrum in skin.alpha / np.pi * reflectances:
             row.rows += list(light * spectrum)
+    row.diffuse_count = len(row.rows)
     row.constant[structs.INPUT_BASE, 0] = 1.0
     row.constant[structs.INPUT_OPACITY, 0] = 1.0
     row.constant[structs.INPUT_THICKNESS] = skin.thickness
@@ -202,10 +219,12 @@ def _passage(
     """Factorise exp(-s delta) over the thicknesses in use, by its singular values."""
     skin = material.parameters
     largest = thickness_range.get(material.path, 0.0)
+    clearest = float(opacity.min())
+    limit = -np.log(LEAST_CLEAR) / clearest if clearest > 0.0 else NO_LIMIT
     if largest <= 0.0:
-        return Passage(np.ones((1, 1)), np.exp(-skin.thickness * opacity)[None], 1.0, 0.0)
+        return Passage(np.ones((1, 1)), np.exp(-skin.thickness * opacity)[None], 1.0, 0.0, limit)
     scale = 1.0 / float(np.median(opacity[opacity > 0.0]))
-    last = min(largest / (largest + scale), 1.0 - 1e-9)
+    last = 1.0 - 1e-9 if np.isinf(largest) else min(largest / (largest + scale), 1.0 - 1e-9)
     place = np.linspace(0.0, last, PASSAGE_ENTRIES)
     exact = np.exp(-(scale * place / (1.0 - place))[:, None] * opacity)
     left, sizes, right = np.linalg.svd(exact, full_matrices=False)
@@ -213,7 +232,7 @@ def _passage(
         table = left[:, :rank] * sizes[:rank]
         if np.abs(table @ right[:rank] - exact).max() < PASSAGE_TOLERANCE:
             break
-    return Passage(table, right[:rank], scale, last)
+    return Passage(table, right[:rank], scale, last, limit)
 
 
 def preview_rows(
@@ -236,6 +255,7 @@ def preview_rows(
     row.flags |= PRESENCE * (material.opacity_mode == "presence")
     for spectrum in row.bases / np.pi:
         row.rows += list(light * spectrum)
+    row.diffuse_count = len(row.rows)
     if material.reflective:
         row.flags |= GLOSSY
         row.rows += list(light)
@@ -280,3 +300,12 @@ def _emission_rows(frame: SpectralFrame) -> FloatArray:
     relative = xyz_weights(nm, frame.observer, False)
     scale = relative[:, 1].sum() / weights[:, 1].sum()
     return np.concatenate([spectra * scale, np.zeros((1, len(nm)))])
+
+
+def row_parts(row: MaterialRows) -> NDArray[np.int32]:
+    """Return what each row shows: 0 diffuse, 1 specular, 2 emission, shape [row_count]."""
+    emitted = 1 if row.flags & EMISSIVE else 0
+    parts = np.ones(len(row.rows), np.int32)
+    parts[: row.diffuse_count] = 0
+    parts[len(parts) - emitted :] = 2
+    return parts

@@ -21,6 +21,7 @@ from usdskin.render.surface_rows import (
     SpectralFrame,
     dome_rows,
     preview_rows,
+    row_parts,
     skin_rows,
 )
 from usdskin.render.textures import Texture, pack_textures, read_texture
@@ -167,6 +168,9 @@ def _upload(
     target.passage_rank = ints(ranks)
     target.passage = floats(passage, wp.float32)
     target.passage_scale = floats(passage_scale, wp.vec2f)
+    limits = [0.0 if row.passage is None else row.passage.limit for row in rows]
+    target.passage_limit = floats(np.array(limits), wp.float32)
+    target.row_part = ints(np.concatenate([row_parts(row) for row in rows]))
     target.flags = ints([row.flags for row in rows])
     target.constant = floats(np.stack([row.constant for row in rows]), wp.vec4f)
     target.slot = ints(slot)
