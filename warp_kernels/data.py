@@ -74,7 +74,8 @@ def _data_kernel(
     index = tile.first_pixel + pixel
     column = index % camera.width
     row = index / camera.width
-    ray = camera_ray(camera, wp.float32(column) + 0.5, wp.float32(row) + 0.5)
+    middle = wp.vec2f(0.5, 0.5)
+    ray = camera_ray(camera, wp.float32(column) + 0.5, wp.float32(row) + 0.5, middle)
     start = float(0.0)
     tile.face[pixel] = -1
     tile.position[pixel] = wp.vec4f(0.0, 0.0, 0.0, wp.inf)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from usdskin.warp_kernels.lookup import lookup_dome
+from usdskin.warp_kernels.sampling import disk_from_square, hash_pair
 from usdskin.warp_kernels.skin import (
     Point,
     reflect_preview_surface,
@@ -44,8 +45,12 @@ class Ray:
 
 
 @wp.func
-def camera_ray(camera: CameraRays, x: wp.float32, y: wp.float32) -> Ray:
-    """Return the ray through a picture position [px]; x to the right, y down."""
+def camera_ray(camera: CameraRays, x: wp.float32, y: wp.float32, lens: wp.vec2f) -> Ray:
+    """Return the ray through a picture position [px]; x to the right, y down.
+
+    ``lens`` is where in the aperture it passes, uniform over the unit square; only a thin lens
+    (``camera.lens_radius``) looks at it.
+    """
     ray = Ray()
     u = x / wp.float32(camera.width)
     v = y / wp.float32(camera.height)
@@ -62,12 +67,29 @@ def camera_ray(camera: CameraRays, x: wp.float32, y: wp.float32) -> Ray:
     else:
         toward = across * camera.right + upward * camera.up - camera.back
         stretch = wp.length(toward)
+        origin = camera.origin
+        if camera.lens_radius > 0.0:  # all rays of a position meet in the plane of focus
+            disk = disk_from_square(lens)
+            at = camera.lens_radius * disk[0] * camera.right
+            at += camera.lens_radius * disk[1] * camera.up
+            origin = origin + at
+            toward = toward - at / camera.focus_distance
+            stretch = wp.length(toward)
         ray.direction = toward / stretch
-        ray.origin = camera.origin + (camera.near * stretch) * ray.direction
+        ray.origin = origin + (camera.near * stretch) * ray.direction
         ray.length = (camera.far - camera.near) * stretch
         ray.spread = pixel / stretch
         ray.width = pixel * camera.near
     return ray
+
+
+@wp.func
+def lens_sample(pixel: wp.int32, s: wp.int32) -> wp.vec2f:
+    """Return where a sample passes the lens: a lattice, moved about by a hash of the pixel."""
+    moved = hash_pair(wp.uint32(pixel), wp.uint32(1))
+    x = wp.float32(moved >> wp.uint32(16)) / 65536.0 + wp.float32(s) * 0.7548776662466927
+    y = wp.float32(moved & wp.uint32(0xFFFF)) / 65536.0 + wp.float32(s) * 0.5698402909980532
+    return wp.vec2f(x - wp.floor(x), y - wp.floor(y))
 
 
 @wp.func
@@ -109,7 +131,7 @@ def surface_point(
 
 
 @wp.func
-def _first_hit(geometry: Geometry, ray: Ray, face: wp.int32) -> wp.vec3f:
+def first_hit(geometry: Geometry, ray: Ray, face: wp.int32) -> wp.vec3f:
     """Return (u, v, t) of a ray on the plane of the triangle it is known to hit."""
     a = wp.mesh_get_point(geometry.mesh, 3 * face)
     b = wp.mesh_get_point(geometry.mesh, 3 * face + 1)
@@ -204,6 +226,7 @@ def _picture_kernel(
             camera,
             wp.float32(column) + 0.5 + offset[0],
             wp.float32(row) + 0.5 + offset[1],
+            lens_sample(index, s),
         )
         ray.spread = ray.spread * sharpness
         ray.width = ray.width * sharpness
@@ -216,7 +239,7 @@ def _picture_kernel(
             if layer == 0 and rasterized:
                 face = film.face[pixel, s]
                 if face >= 0:
-                    at = _first_hit(geometry, ray, face)
+                    at = first_hit(geometry, ray, face)
             else:
                 hit = wp.mesh_query_ray(
                     geometry.mesh,

@@ -16,6 +16,10 @@ wp.set_module_options({"enable_backward": False})
 PI = wp.constant(3.14159265358979)
 TWO_PI = wp.constant(6.28318530717959)
 
+_GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
+_MIX_A = wp.constant(wp.uint32(0x7FEB352D))
+_MIX_B = wp.constant(wp.uint32(0x846CA68B))
+
 DIMENSIONS = 12
 """Dimensions of the table of direction numbers."""
 
@@ -55,12 +59,12 @@ def direction_numbers() -> NDArray[np.uint32]:
 @wp.func
 def hash_pair(a: wp.uint32, b: wp.uint32) -> wp.uint32:
     """Mix two numbers to one whose bits look independent (C. Wellons's lowbias32, twice)."""
-    x = a ^ (b * wp.uint32(0x9E3779B9))
+    x = a ^ (b * _GOLDEN)
     for _k in range(2):
         x = x ^ (x >> wp.uint32(16))
-        x = x * wp.uint32(0x7FEB352D)
+        x = x * _MIX_A
         x = x ^ (x >> wp.uint32(15))
-        x = x * wp.uint32(0x846CA68B)
+        x = x * _MIX_B
         x = x ^ (x >> wp.uint32(16))
         x = x + b
     return x

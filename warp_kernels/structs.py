@@ -44,6 +44,12 @@ class CameraRays:
     far: wp.float32
     """Clipping distances along the view axis [m]."""
 
+    lens_radius: wp.float32
+    """Radius of the aperture [m]; 0 for a pinhole."""
+
+    focus_distance: wp.float32
+    """Distance of the plane of focus along the view axis [m]."""
+
     orthographic: wp.int32
     width: wp.int32
     height: wp.int32

@@ -41,7 +41,19 @@ _PATH = click.Path(path_type=Path)
 )
 @click.option("--no-spectral", is_flag=True, help="Write no spectral file though a setting asks.")
 @click.option("--integrator", type=click.Choice(["map", "traced"]), help="How light is gathered.")
-@click.option("-p", "--samples", type=int, metavar="SPP", help="Samples per pixel.")
+@click.option(
+    "-p",
+    "--samples",
+    type=int,
+    metavar="SPP",
+    help="Samples per pixel, the most where --target-error stops earlier.  [default: 4; traced 64]",
+)
+@click.option(
+    "--target-error",
+    type=float,
+    metavar="ERROR",
+    help="Stop sampling a traced pixel at this relative error, such as 0.01.",
+)
 @click.option(
     "--filter",
     "pixel_filter",
@@ -100,7 +112,8 @@ _PATH = click.Path(path_type=Path)
     "aovs",
     type=names,
     metavar="NAME,...",
-    help="Extra parts: N, P, Z, albedo, st, primId, irradiance; or all or none.",
+    help="Extra parts: N, P, Z, albedo, st, primId, irradiance; traced also diffuse, specular, "
+    "emission, direct, indirect, visibility, variance, sampleCount; or all or none.",
 )
 @click.option(
     "--complexity",

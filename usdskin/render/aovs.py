@@ -14,10 +14,15 @@ from usdskin.render.opinions import choose, text
 # After ours, which register the schemas.
 from pxr import UsdRender
 
-AOV_SOURCES = ("N", "P", "Z", "albedo", "st", "primId", "irradiance")
-"""Data parts that can be asked for, in the order they are written."""
+MAP_SOURCES = ("N", "P", "Z", "albedo", "st", "primId", "irradiance")
+"""Data parts of any integrator, in the order they are written."""
 
-_TRACED_SOURCES = ("visibility", "sampleCount", "variance")
+TRACED_SOURCES = (
+    "diffuse", "specular", "emission", "direct", "indirect", "visibility", "variance", "sampleCount"
+)  # fmt: skip
+"""Data parts that only the traced integrator measures."""
+
+AOV_SOURCES = MAP_SOURCES + TRACED_SOURCES
 
 _SOURCE_NAMES = {
     "beauty": ("beauty", "color", "ci", "c", "rgb", "rgba"),
@@ -29,6 +34,14 @@ _SOURCE_NAMES = {
     "st": ("st", "uv"),
     "primId": ("primid",),
     "irradiance": ("irradiance",),
+    "diffuse": ("diffuse",),
+    "specular": ("specular", "glossy", "reflection"),
+    "emission": ("emission", "emissive"),
+    "direct": ("direct", "directlighting"),
+    "indirect": ("indirect", "indirectlighting"),
+    "visibility": ("visibility", "shadow"),
+    "variance": ("variance",),
+    "sampleCount": ("samplecount",),
 }
 _SOURCES = {name: source for source, names in _SOURCE_NAMES.items() for name in names}
 """What a RenderVar's sourceName, or its prim's name, in lower case, stands for."""
@@ -62,11 +75,12 @@ class WantedParts:
     aovs: tuple[Aov, ...]
 
 
-def read_vars(product: UsdRender.Product, notes: list[Note]) -> WantedParts:
+def read_vars(product: UsdRender.Product, traced: bool, notes: list[Note]) -> WantedParts:
     """Return what a product's ordered vars ask for; without any it is its beauty.
 
     Args:
         product: Product to read.
+        traced: Whether light is traced.
         notes: Takes the vars that are not written.
 
     Raises:
@@ -82,7 +96,7 @@ def read_vars(product: UsdRender.Product, notes: list[Note]) -> WantedParts:
                 f"{describe(prim)}: orderedVars names <{path}>, which is no RenderVar; correct the "
                 "relationship."
             )
-        source = _var_source(var, notes)
+        source = _var_source(var, traced, notes)
         if source is None:
             continue
         if sources.setdefault(path.name, source) != source:
@@ -101,7 +115,7 @@ def read_vars(product: UsdRender.Product, notes: list[Note]) -> WantedParts:
     )
 
 
-def _var_source(var: UsdRender.Var, notes: list[Note]) -> str | None:
+def _var_source(var: UsdRender.Var, traced: bool, notes: list[Note]) -> str | None:
     """Return what a RenderVar holds; None, with a note, where that is not written."""
     name, path = var.GetPrim().GetName(), str(var.GetPath())
     kind = choose([var.GetPrim()], "sourceType", text, "raw")
@@ -114,28 +128,31 @@ def _var_source(var: UsdRender.Var, notes: list[Note]) -> str | None:
         source = "st" if wanted.removeprefix("primvars:") == "st" else None
     else:
         source = _SOURCES.get(wanted.lower())
-    if source is None:
-        traced = wanted in _TRACED_SOURCES
-        reason = "only the traced integrator measures it" if traced else "not known here"
+    unmeasured = source in TRACED_SOURCES and not traced
+    if source is None or unmeasured:
+        reason = "only the traced integrator measures it" if unmeasured else "not known here"
+        source = None
         notes.append(
             Note("aov-not-written", path, f"{kind} {wanted!r}: {reason}; the part is left out.")
         )
     return source
 
 
-def requested_aovs(names: Sequence[str]) -> tuple[Aov, ...]:
+def requested_aovs(names: Sequence[str], traced: bool) -> tuple[Aov, ...]:
     """Return the parts that ``--aov`` names; ``all`` and ``none`` stand alone.
 
     Raises:
         UsageError: There is no such part.
     """
     if tuple(names) == ("all",):
-        return tuple(Aov(source, source) for source in AOV_SOURCES)
+        return tuple(Aov(source, source) for source in (AOV_SOURCES if traced else MAP_SOURCES))
     if tuple(names) == ("none",):
         return ()
     wanted: dict[str, None] = {}
     for name in names:
         source = _SOURCES.get(name.lower(), "")
+        if source in TRACED_SOURCES and not traced:
+            raise UsageError(f"--aov {name}: only --integrator traced measures it; use that.")
         if source not in AOV_SOURCES:
             raise UsageError(
                 f"--aov {name}: no such part; choose from {', '.join(AOV_SOURCES)}, all or none."

@@ -51,6 +51,12 @@ class Camera:
     clip_far: float
     """Distance along -Z up to which things are seen [m]."""
 
+    lens_radius: float
+    """Radius of the aperture [m]; 0 for a pinhole, from which everything is sharp."""
+
+    focus_distance: float
+    """Distance along -Z of the plane that is sharp [m]."""
+
     exposure_scale: float
     """Factor from scene radiance to pixel values [1]."""
 
@@ -142,6 +148,7 @@ def read_camera(
     y = _finite(camera.GetVerticalApertureOffsetAttr(), time)
     edges = (x - 0.5 * width, x + 0.5 * width, y - 0.5 * height, y + 0.5 * height)
     near, far = _clipping_range(camera, time, orthographic)
+    lens_radius, focus = _thin_lens(camera, time, orthographic, meters_per_unit, notes)
     _note_what_is_ignored(camera, time, notes)
     return Camera(
         path=str(prim.GetPath()),
@@ -150,9 +157,34 @@ def read_camera(
         window=(edges[0] * scale, edges[1] * scale, edges[2] * scale, edges[3] * scale),
         clip_near=near * meters_per_unit,
         clip_far=far * meters_per_unit,
+        lens_radius=lens_radius,
+        focus_distance=focus,
         exposure_scale=_exposure_scale(camera, time),
         pixel_aspect_ratio=pixel_aspect_ratio,
     )
+
+
+def _thin_lens(
+    camera: UsdGeom.Camera,
+    time: Usd.TimeCode,
+    orthographic: bool,
+    meters_per_unit: float,
+    notes: list[Note],
+) -> tuple[float, float]:
+    """Return the radius of the aperture and the distance of focus [m]; (0, 1) for a pinhole.
+
+    The aperture's diameter is the focal length over fStop; fStop 0 turns depth of field off.
+    """
+    f_stop = _finite(camera.GetFStopAttr(), time)
+    if f_stop <= 0.0 or orthographic:
+        return 0.0, 1.0
+    focus = _finite(camera.GetFocusDistanceAttr(), time) * meters_per_unit
+    if focus <= 0.0:
+        message = f"fStop is {f_stop:g} without a focusDistance; the picture is sharp everywhere."
+        notes.append(Note("depth-of-field-ignored", str(camera.GetPath()), message))
+        return 0.0, 1.0
+    focal_length = _positive(camera.GetFocalLengthAttr(), time) * _TENTHS * meters_per_unit
+    return focal_length / (2.0 * f_stop), focus
 
 
 def conform_aperture(
@@ -338,9 +370,6 @@ def _note_what_is_ignored(camera: UsdGeom.Camera, time: Usd.TimeCode, notes: lis
     def value(attribute: Usd.Attribute) -> Any:
         return attribute.Get(time)
 
-    f_stop = value(camera.GetFStopAttr())
-    if f_stop:
-        add("depth-of-field-ignored", f"fStop is {f_stop:g}; the picture is sharp everywhere.")
     if value(camera.GetClippingPlanesAttr()):
         add("clipping-planes-ignored", "only clippingRange clips the picture.")
     if value(camera.GetShutterOpenAttr()) != value(camera.GetShutterCloseAttr()):

@@ -12,7 +12,9 @@ _RADIUS = {"box": 0.5, "triangle": 1.0, "gaussian": 1.25, "blackmanHarris": 1.0}
 
 
 @functools.cache
-def sample_offsets(count: int, pixel_filter: str) -> NDArray[np.float32]:
+def sample_offsets(
+    count: int, pixel_filter: str, shift: tuple[float, float] = (0.0, 0.0)
+) -> NDArray[np.float32]:
     """Return sample positions relative to the pixel's middle, the same for every pixel.
 
     A rank-1 lattice, chosen for its largest minimum distance, is mapped through the filter's
@@ -22,6 +24,7 @@ def sample_offsets(count: int, pixel_filter: str) -> NDArray[np.float32]:
     Args:
         count: Samples per pixel.
         pixel_filter: ``box``, ``triangle``, ``gaussian`` or ``blackmanHarris``.
+        shift: Moves the lattice, around the unit square.
 
     Returns:
         (x, y) offsets [px], shape [count, 2].
@@ -31,6 +34,7 @@ def sample_offsets(count: int, pixel_filter: str) -> NDArray[np.float32]:
     index = np.arange(count)
     step = _best_generator(count)
     unit = np.stack([(index + 0.5) / count, (index * step % count + 0.5) / count], axis=-1)
+    unit = (unit + np.array(shift)) % 1.0
     radius = _RADIUS[pixel_filter]
     x = np.linspace(-radius, radius, 4097)
     density = _density(pixel_filter, x / radius)

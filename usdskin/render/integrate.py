@@ -6,7 +6,7 @@ the picture is the same whatever the tiles, threads or their order.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -75,6 +75,10 @@ class Picture:
     spectrum: NDArray[np.float32] | None
     """Spectral radiance, shape [height, width, bands]."""
 
+    extra: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    """What only tracing measures, by name: parts of the XYZ, shape [height, width, 3], and
+    ``variance`` of Y, ``sampleCount`` and ``visibility``, shape [height, width]."""
+
 
 def device_camera(camera: Camera, resolution: tuple[int, int]) -> structs.CameraRays:
     """Return a camera as the kernels take it."""
@@ -85,6 +89,7 @@ def device_camera(camera: Camera, resolution: tuple[int, int]) -> structs.Camera
     )
     rays.window = wp.vec4f(*(float(edge) for edge in camera.window))
     rays.near, rays.far = camera.clip_near, min(camera.clip_far, 1.0e18)
+    rays.lens_radius, rays.focus_distance = camera.lens_radius, camera.focus_distance
     rays.orthographic = int(camera.orthographic)
     rays.width, rays.height = resolution
     return rays
@@ -127,7 +132,7 @@ def integrate(
     chunk = TILE_PIXELS if on_host else GPU_TILE_PIXELS
     rows = min(max(1, chunk // width), height)
     projection = None
-    if on_host:
+    if on_host and camera.lens_radius <= 0.0:
         raster.load(device)
         reach = float(np.abs(offsets.numpy()).max())
         projection = project(

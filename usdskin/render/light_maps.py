@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from usdskin.colorimetry import xyz_weights
 from usdskin.device import Workers, vec3, vec4
 from usdskin.errors import UsageError
 from usdskin.render.environment import (
@@ -23,6 +24,7 @@ from usdskin.render.environment import (
     texel_patches,
 )
 from usdskin.render.lights import DistantLight, DomeLight, Lights
+from usdskin.render.surface_rows import SpectralFrame
 from usdskin.render.zonal_maps import bake_maps, tangents
 from usdskin.warp_kernels import structs
 
@@ -191,6 +193,12 @@ def banded(lights: Lights) -> Lights:
         ),
         lights.distants,
     )
+
+
+def luminances(light: LightField, frame: SpectralFrame) -> NDArray[np.float64]:
+    """Return Y of every channel's spectrum, shape [groups, 4]."""
+    weights = xyz_weights(frame.wavelength_nm, frame.observer, frame.absolute)
+    return np.asarray(light.basis @ weights[:, 1])
 
 
 def dome_environment(dome: DomeLight, threads: int = 1) -> Environment:

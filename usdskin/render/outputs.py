@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from usdskin import __version__
 from usdskin.colorimetry import xyz_to_rgb
 from usdskin.image_output import Part, write_exr, write_spectral_exr
+from usdskin.render.aovs import TRACED_SOURCES
 from usdskin.render.cameras import Camera
 from usdskin.render.integrate import DeviceScene, Picture
 from usdskin.render.preview import render_png
@@ -96,7 +97,10 @@ def write_picture(
                 )
             )
         for aov in product.aovs:
-            part = _data_part(aov.name, aov.source, data, scene, settings, shot)
+            if aov.source in TRACED_SOURCES:
+                part = _traced_part(aov.name, picture.extra[aov.source], camera, settings)
+            else:
+                part = _data_part(aov.name, aov.source, data, scene, settings, shot)
             parts.append(replace(part, attributes={**part.attributes, **placed}))
         write_exr(
             files["exr"],
@@ -171,6 +175,15 @@ def placement_attributes(camera: Camera) -> dict[str, Any]:
         "worldToCamera": np.linalg.inv(camera.to_world).T,
         "usdskin/projection": "orthographic" if camera.orthographic else "perspective",
     }
+
+
+def _traced_part(name: str, values: FloatImage, camera: Camera, settings: RenderSettings) -> Part:
+    """Return a part that tracing measured: light as exposed RGB, like the beauty, or numbers."""
+    if values.ndim == 2:
+        return Part(name, {name: values})
+    matrix = xyz_to_rgb(settings.color_space) * camera.exposure_scale
+    rgb = values @ matrix.T.astype(np.float32)
+    return Part(name, {name: rgb}, {}, "float", settings.color_space)
 
 
 def _data_part(

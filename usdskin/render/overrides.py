@@ -56,6 +56,9 @@ class RenderOverrides:
     samples: int | None = None
     """Samples per pixel."""
 
+    target_error: float | None = None
+    """Relative error at which the sampling of a traced pixel stops [1]."""
+
     pixel_filter: str | None = None
     seed: int | None = None
     illuminant: str | None = None

@@ -87,6 +87,7 @@ def read_products(
     *,
     spectral: bool,
     time: Usd.TimeCode,
+    traced: bool,
     notes: list[Note],
 ) -> tuple[Product, ...]:
     """Return the pictures to render.
@@ -99,6 +100,7 @@ def read_products(
             and the vars of all that share them.
         spectral: Whether spectral files are asked for by a flag or by the settings.
         time: Time at which to read the camera's aspect.
+        traced: Whether light is traced, which measures more parts.
         notes: Takes products and vars that are not written.
 
     Raises:
@@ -107,8 +109,9 @@ def read_products(
     """
     prims: list[Usd.Prim] = _product_prims(settings, notes) if settings else []
     base = [settings] if settings else []
-    pairs = [_read_product(stage, [prim, *base], overrides, time, notes) for prim in prims] or [
-        _read_product(stage, base, overrides, time, notes)
+    pairs = [
+        _read_product(stage, [*own, *base], overrides, time, traced, notes)
+        for own in [[prim] for prim in prims] or [[]]
     ]
     if output is not None:
         named = [_name_output(pairs, output, overrides, spectral, notes)]
@@ -152,6 +155,7 @@ def _read_product(
     prims: Sequence[Usd.Prim],
     overrides: RenderOverrides,
     time: Usd.TimeCode,
+    traced: bool,
     notes: list[Note],
 ) -> tuple[Product, WantedParts]:
     """Return a picture without file names, and its vars. The prims are the strongest first."""
@@ -177,9 +181,9 @@ def _read_product(
     )
     asked = WantedParts(beauty=True, spectral=False, half=False, aovs=())
     if prims and prims[0].IsA(UsdRender.Product):
-        asked = read_vars(UsdRender.Product(prims[0]), notes)
+        asked = read_vars(UsdRender.Product(prims[0]), traced, notes)
     if overrides.aovs is not None:
-        asked = replace(asked, aovs=requested_aovs(overrides.aovs))
+        asked = replace(asked, aovs=requested_aovs(overrides.aovs, traced))
     return product, asked
 
 

@@ -14,19 +14,25 @@ from usdskin.errors import FramesError, UsdSkinError
 from usdskin.frames import frame_path
 from usdskin.notes import Note
 from usdskin.progress import Progress
+from usdskin.render.aovs import TRACED_SOURCES
 from usdskin.render.cameras import read_camera
 from usdskin.render.integrate import DeviceScene, collect_data, integrate
-from usdskin.render.light_maps import LightField
+from usdskin.render.light_maps import LightField, luminances
+from usdskin.render.light_tree import build_light_tree
 from usdskin.render.opening import opened
 from usdskin.render.outputs import Shot, write_picture
 from usdskin.render.overrides import RenderOverrides, apply_overrides
 from usdskin.render.products import Product, prepare_folders
 from usdskin.render.scene import Scene, mean_white, read_scene, upload
 from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
+from usdskin.render.traced import Sampling, integrate_traced, sampling_key
 
 # isort: split
 # After ours, which register the schemas.
 from pxr import Usd
+
+ERROR_FLOOR = 0.02
+"""Luminance, of a white diffuser's in the mean light, below which errors weigh no more."""
 
 
 def render_stage(
@@ -88,9 +94,9 @@ def _render_frame(
     begun = _lap(seconds, "read", begun)
     # Straight alpha needs the dome hidden, and every EXR has alpha.
     show_dome = job.settings.dome == "show"
-    device_scene, light = upload(
-        scene, workers, show_dome=show_dome, brute=job.settings.spectral_method == "brute"
-    )
+    traced = job.settings.integrator == "traced"
+    brute = job.settings.spectral_method == "brute"
+    device_scene, light = upload(scene, workers, show_dome=show_dome, brute=brute, traced=traced)
     _lap(seconds, "bake", begun)
     for product, files in wanted:
         _render_product(
@@ -135,23 +141,45 @@ def _render_product(
         product.conform_policy,
         report.notes,
     )
-    picture = integrate(
-        device_scene,
-        camera,
-        product.resolution,
-        settings.samples_per_pixel,
-        settings.pixel_filter,
-        workers,
-        progress,
-        spectral=product.spectral is not None,
-        show_dome=settings.dome == "show",
-    )
     sources = {aov.source for aov in product.aovs}
+    spectral, show_dome = product.spectral is not None, settings.dome == "show"
+    if settings.integrator == "traced":
+        white = mean_white(scene.lights, scene.frame)
+        picture = integrate_traced(
+            device_scene,
+            build_light_tree(scene.lights, luminances(light, scene.frame), workers.device),
+            camera,
+            product.resolution,
+            Sampling(
+                samples=settings.samples_per_pixel,
+                target_error=settings.target_error,
+                floor=ERROR_FLOOR * float(white[1]),
+                pixel_filter=settings.pixel_filter,
+                key=sampling_key(settings.seed, frame.number),
+            ),
+            workers,
+            progress,
+            spectral=spectral,
+            show_dome=show_dome,
+            parts=bool(sources & set(TRACED_SOURCES)),
+        )
+    else:
+        picture = integrate(
+            device_scene,
+            camera,
+            product.resolution,
+            settings.samples_per_pixel,
+            settings.pixel_filter,
+            workers,
+            progress,
+            spectral=spectral,
+            show_dome=show_dome,
+        )
     data = (
         collect_data(
             device_scene, camera, product.resolution, workers, irradiance="irradiance" in sources
         )
-        if sources
+        if sources - set(TRACED_SOURCES)
         else {}
     )
     begun = _lap(seconds, "render", begun)

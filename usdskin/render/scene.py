@@ -40,7 +40,7 @@ from usdskin.render.materials import (
 )
 from usdskin.render.meshes import MeshArrays, read_mesh
 from usdskin.render.settings import RenderSettings
-from usdskin.render.surface_rows import SpectralFrame, gloss_alphas, wraps_of
+from usdskin.render.surface_rows import SpectralFrame, dims, gloss_alphas, wraps_of
 from usdskin.render.surfaces import build_surfaces
 from usdskin.warp_kernels import structs
 
@@ -183,7 +183,12 @@ def _bound_paths(prims: list[Usd.Prim], material_of: object) -> list[str]:
 
 
 def upload(
-    scene: Scene, workers: Workers, *, show_dome: bool, brute: bool = False
+    scene: Scene,
+    workers: Workers,
+    *,
+    show_dome: bool,
+    brute: bool = False,
+    traced: bool = False,
 ) -> tuple[DeviceScene, LightField]:
     """Bake the lights, build the material tables and copy the geometry to the device.
 
@@ -192,13 +197,16 @@ def upload(
         workers: Where to.
         show_dome: Whether the camera sees the domes.
         brute: Shade every band from every texel, without factorisation and maps, as the oracle.
+        traced: Whether rays measure the way through bodies and look for reflections.
     """
     device = workers.device
     rows = {name: k for k, name in enumerate(sorted(_primvar_names(scene)))}
     thickness = _thickness_range(scene)
+    if traced:
+        thickness = {material.path: np.inf for material in scene.materials}
     with ThreadPoolExecutor(1) as pool:  # beside the lights, which take as long
         uploading = pool.submit(_upload_geometry, scene, rows, device)
-        light = _bake(scene, workers, show_dome, brute)
+        light = _bake(scene, workers, show_dome, brute, traced)
         geometry, mesh, faces = uploading.result()
     surfaces = build_surfaces(
         scene.materials,
@@ -226,7 +234,7 @@ def upload(
     )
 
 
-def _bake(scene: Scene, workers: Workers, show_dome: bool, brute: bool) -> LightField:
+def _bake(scene: Scene, workers: Workers, show_dome: bool, brute: bool, traced: bool) -> LightField:
     """Return the light at every normal, its reflections, and the domes the camera sees."""
     wraps, bands = wraps_of(scene.materials), len(scene.frame.wavelength_nm)
     lights = scene.lights
@@ -234,9 +242,10 @@ def _bake(scene: Scene, workers: Workers, show_dome: bool, brute: bool) -> Light
         light = build_brute_field(lights, wraps, workers, bands)
         lights = banded(lights)
     else:
-        split = any(isinstance(m, SkinMaterial) and m.thickness_primvar for m in scene.materials)
+        skins = [m for m in scene.materials if isinstance(m, SkinMaterial)]
+        split = any(m.thickness_primvar or (traced and dims(m.parameters)) for m in skins)
         light = build_light_field(lights, wraps, workers, bands, split)
-    alphas = gloss_alphas(scene.materials, LADDER)
+    alphas = () if traced else gloss_alphas(scene.materials, LADDER)
     add_reflections(light.device_lights, lights, light.reflected_blocks, alphas, workers)
     show_domes(light.device_lights, lights, show_dome, workers.device)
     return light

@@ -27,6 +27,7 @@ from usdskin.render.opinions import (
     choose,
     one_of,
     parse_wavelengths,
+    real_number,
     several_of,
     truth,
     wavelengths,
@@ -52,6 +53,9 @@ __all__ = [
 ]
 
 SAMPLES_LIMIT = 4096
+TRACED_SAMPLES = 64
+"""Samples per pixel where nobody says how many and light is traced."""
+
 LEVEL_LIMIT = 8
 """As ``usdskin:subdivisionLevel`` limits it: every level has four times the faces."""
 
@@ -104,6 +108,9 @@ class RenderSettings:
 
     integrator: str
     samples_per_pixel: int
+    target_error: float
+    """Relative standard error at which the sampling of a traced pixel stops [1]; 0 never."""
+
     pixel_filter: str
     seed: int
     wavelength_nm: NDArray[np.float64]
@@ -205,7 +212,14 @@ def resolve_settings(
         overrides.spectral_output,
     )
     products = read_products(
-        stage, prim, overrides, output, spectral=spectral, time=frames[0].time, notes=notes
+        stage,
+        prim,
+        overrides,
+        output,
+        spectral=spectral,
+        time=frames[0].time,
+        traced=settings.integrator == "traced",
+        notes=notes,
     )
     _check_places(products, frames)
     for product in products:
@@ -280,9 +294,7 @@ def _check_places(products: tuple[Product, ...], frames: tuple[Frame, ...]) -> N
 
 
 def _integrator(value: Any) -> str:
-    if one_of(("map", "traced"))(value) == "traced":
-        raise ValueError("the traced integrator is not available yet; use --integrator map.")
-    return "map"
+    return one_of(("map", "traced"))(value)
 
 
 def _purposes(value: Any) -> frozenset[str]:
@@ -322,6 +334,9 @@ _OPINIONS = {
     "samples_per_pixel": _Opinion(
         "usdskin:samplesPerPixel", "-p/--samples", whole_number(1, SAMPLES_LIMIT), "samples"
     ),
+    "target_error": _Opinion(
+        "usdskin:targetError", "--target-error", real_number(0.0, 1.0), "target_error"
+    ),
     "pixel_filter": _Opinion(
         "usdskin:pixelFilter", "--filter", one_of(PIXEL_FILTERS), "pixel_filter"
     ),
@@ -343,12 +358,18 @@ _OPINIONS = {
 def _read_settings(
     stage: Usd.Stage, prims: Sequence[Usd.Prim], given: RenderOverrides
 ) -> RenderSettings:
+    integrator = _OPINIONS["integrator"]
+    traced = "traced" == choose(
+        prims, integrator.attribute, integrator.check, "map", integrator.flag, given.integrator
+    )
     values = {
         name: choose(
             prims,
             opinion.attribute,
             opinion.check,
-            opinion.check(_fallback(opinion.attribute)),
+            TRACED_SAMPLES
+            if traced and name == "samples_per_pixel"
+            else opinion.check(_fallback(opinion.attribute)),
             opinion.flag,
             getattr(given, opinion.override) if opinion.override else None,
         )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from usdskin.colorimetry import Observer, illuminant, xyz_weights
 from usdskin.errors import LayerError
+from usdskin.prims import SkinParameters
 from usdskin.render.inputs import Input, PrimvarInput, TextureInput
 from usdskin.render.materials import SkinMaterial, SurfaceMaterial
 from usdskin.spectrum import Spectrum, resample
@@ -126,6 +127,12 @@ def gloss_alphas(
                     return ladder
                 found.add(float(roughness) ** 2)
     return tuple(sorted(round(float(alpha), 6) for alpha in found))
+
+
+def dims(skin: SkinParameters) -> bool:
+    """Return whether a skin's body weakens the light that crosses it."""
+    opacity = skin.opacity
+    return bool(np.max(opacity.value if isinstance(opacity, Spectrum) else opacity) > 0.0)
 
 
 def dome_rows(light: FloatArray) -> MaterialRows:

@@ -1,0 +1,290 @@
+"""The traced integrator: shadowed pictures, sampled until they are good enough.
+
+Makes: ``Picture`` from a ``DeviceScene`` and its light tree. A pixel's samples depend on the pixel,
+their index, the seed and the frame alone; how many it gets is decided by blocks of pixels that lie
+in one tile. So the picture is the same whatever the tiles, threads or their order.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from usdskin.device import Workers
+from usdskin.progress import Progress
+from usdskin.render.cameras import Camera
+from usdskin.render.film import sample_offsets
+from usdskin.render.integrate import (
+    GPU_TILE_PIXELS,
+    TILE_PIXELS,
+    DeviceScene,
+    Picture,
+    device_camera,
+)
+from usdskin.render.projection import project
+from usdskin.render.surfaces import band_groups
+from usdskin.warp_kernels import light_tree, raster, sampling, structs, trace
+
+BLOCK = 4
+"""Side of the blocks of pixels that are sampled alike [px]."""
+
+FIRST_SAMPLES = 16
+"""Samples every pixel gets before any of them is judged."""
+
+PARTS = ("diffuse", "specular", "emission", "indirect")
+"""What the light of a pixel is split into, in the kernels' order."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sampling:
+    """How a picture is sampled."""
+
+    samples: int
+    """Most samples per pixel."""
+
+    target_error: float
+    """Standard error of a pixel's Y, relative to it, at which its sampling stops; 0 for never."""
+
+    floor: float
+    """Y below which errors count as if the pixel were this bright."""
+
+    pixel_filter: str
+    key: int
+    """Of the seed and the frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Pass:
+    """Some samples of every pixel that takes part."""
+
+    first: int
+    offsets: Any
+    """Their positions [px], on the device."""
+
+
+def sampling_key(seed: int, frame: float | None) -> int:
+    """Return the key of a picture's random numbers, 32 bits that differ for every frame."""
+    label = f"{seed}" if frame is None else f"{seed}/{frame:.6f}"
+    return int.from_bytes(hashlib.sha256(label.encode()).digest()[:4], "little")
+
+
+def integrate_traced(
+    scene: DeviceScene,
+    tree: light_tree.LightTree,
+    camera: Camera,
+    resolution: tuple[int, int],
+    settings: Sampling,
+    workers: Workers,
+    progress: Progress,
+    *,
+    spectral: bool,
+    show_dome: bool,
+    parts: bool,
+) -> Picture:
+    """Render a shadowed picture.
+
+    Args:
+        scene: The scene on the workers' device.
+        tree: Its light.
+        camera: Where from.
+        resolution: Width and height [px].
+        settings: How to sample.
+        workers: Where to compute.
+        progress: Advances by pixels.
+        spectral: Whether to return spectra.
+        show_dome: Whether the domes are seen behind the surfaces.
+        parts: Whether to return the light's parts, the variance and the like (``Picture.extra``).
+    """
+    width, height = resolution
+    device = workers.device
+    on_host = device == "cpu"
+    rays = device_camera(camera, resolution)
+    bands = band_groups(scene.band_count if spectral else 0)
+    count = width * height
+    result = {
+        "xyza": np.zeros((count, 4), np.float32),
+        "spectrum": np.zeros((count, bands, 4), np.float32),
+        "tally": np.zeros((count, 4), np.float32),
+        "variance": np.zeros(count, np.float32),
+        "part": np.zeros((count if parts else 0, len(PARTS), 3), np.float32),
+    }
+    rows = _tile_rows(width, height, TILE_PIXELS if on_host else GPU_TILE_PIXELS)
+    passes = _passes(settings, device)
+    sobol = wp.array(sampling.direction_numbers(), dtype=wp.uint32, device=device)
+    projection = None
+    if on_host and camera.lens_radius <= 0.0:
+        raster.load(device)
+        reach = max(float(np.abs(each.offsets.numpy()).max()) for each in passes[:2])
+        projection = project(
+            scene.faces.points, scene.faces.triangles, camera, resolution, rows, reach, device
+        )
+    trace.load(device)
+
+    def work(begin: int, end: int) -> None:
+        tile = _Tile(scene, rays, tree, sobol, settings, begin, end, bands, parts, device)
+        tile.film.show_dome = int(show_dome)
+        active = np.arange(end - begin, dtype=np.int32)
+        for number, each in enumerate(passes):
+            face = None
+            if projection is not None and number < 2:
+                first = begin // width
+                face = raster.rasterize_band(
+                    projection, each.offsets, first // rows, width, first, (end - begin) // width
+                )
+            tile.add(each, active, face)
+            if number:
+                active = _unfinished(tile, active, width, settings)
+                if not len(active):
+                    break
+        for name, values in tile.finished().items():
+            result[name][begin:end] = values
+
+    progress.start(count, "render")
+    workers.run(count, rows * width, work, progress.advance)
+    progress.done()
+    taken = np.maximum(result["tally"][:, 3:], 1.0)
+    xyza = (result["xyza"] / taken).reshape(height, width, 4)
+    spectrum = None
+    if spectral:
+        result["spectrum"] /= taken[:, :, None]
+        spectrum = result["spectrum"].reshape(height, width, -1)[:, :, : scene.band_count]
+    extra = _extra(result, taken, xyza, (height, width)) if parts else {}
+    return Picture(xyza, spectrum, extra)
+
+
+def _tile_rows(width: int, height: int, pixels: int) -> int:
+    """Return the rows of a tile: whole blocks."""
+    rows = max(BLOCK, pixels // width // BLOCK * BLOCK)
+    return min(rows, -(-height // BLOCK) * BLOCK)
+
+
+def _passes(settings: Sampling, device: str) -> list[_Pass]:
+    """Return the passes: the first samples in two halves, and then as many as there are before."""
+    first = min(settings.samples, FIRST_SAMPLES)
+    offsets = sample_offsets(first, settings.pixel_filter)
+    found = [(0, offsets[0::2]), ((first + 1) // 2, offsets[1::2])]
+    taken = first
+    while taken < settings.samples:
+        more = min(taken, settings.samples - taken)
+        shift = (0.754877666 * len(found) % 1.0, 0.569840290 * len(found) % 1.0)
+        found.append((taken, sample_offsets(more, settings.pixel_filter, shift)))
+        taken += more
+    return [
+        _Pass(begin, wp.array(np.ascontiguousarray(at), dtype=wp.vec2f, device=device))
+        for begin, at in found
+        if len(at)
+    ]
+
+
+class _Tile:
+    """One tile under construction."""
+
+    def __init__(
+        self,
+        scene: DeviceScene,
+        rays: structs.CameraRays,
+        tree: light_tree.LightTree,
+        sobol: Any,
+        settings: Sampling,
+        begin: int,
+        end: int,
+        bands: int,
+        parts: bool,
+        device: str,
+    ) -> None:
+        count = end - begin
+        self._scene, self._rays, self._device = scene, rays, device
+        self.first_pixel = begin
+        self.count = count
+        film = structs.Film()
+        film.first_pixel = begin
+        film.channel = wp.zeros((count, scene.max_rows), dtype=wp.vec4f, device=device)
+        film.xyza = wp.zeros(count, dtype=wp.vec4f, device=device)
+        film.spectrum = wp.zeros((count, bands), dtype=wp.vec4f, device=device)
+        self.film = film
+        self._trace = trace.Trace()
+        self._trace.tree = tree
+        self._trace.sobol = sobol
+        self._trace.key = settings.key
+        shape = (count, len(PARTS)) if parts else (0, 0)
+        self._trace.part = wp.zeros(shape, dtype=wp.vec3f, device=device)
+        self._trace.tally = wp.zeros(count, dtype=wp.vec4f, device=device)
+        self._trace.luminance = wp.zeros(count, dtype=wp.float32, device=device)
+        self.variance = np.zeros(count)
+        self._total = np.zeros(count)
+        self._taken = np.zeros(count)
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """Y of every pixel so far."""
+        return np.asarray(self._total / np.maximum(self._taken, 1.0))
+
+    def add(self, each: _Pass, active: NDArray[np.int32], face: Any) -> None:
+        """Take a pass of samples of some pixels, and judge the variance of their means by it."""
+        film, device = self.film, self._device
+        film.sample = each.offsets
+        film.face = wp.empty((0, 0), dtype=wp.int32, device=device) if face is None else face
+        self._trace.first_sample = each.first
+        self._trace.pixel = wp.array(active, dtype=wp.int32, device=device)
+        trace.trace_pass(
+            self._scene.geometry, self._rays, self._scene.lights, self._scene.materials,
+            self._trace, film,
+        )  # fmt: skip
+        new = self._trace.luminance.numpy()[active].astype(np.float64)
+        more, before = len(each.offsets), self._taken[active]
+        if before.any():
+            apart = new / more - self._total[active] / before
+            self.variance[active] = apart**2 * before * more / (before + more) ** 2
+        self._total[active] += new
+        self._taken[active] += more
+
+    def finished(self) -> dict[str, NDArray[Any]]:
+        """Return the tile's sums and variances."""
+        found = {
+            "xyza": self.film.xyza.numpy(),
+            "spectrum": self.film.spectrum.numpy(),
+            "tally": self._trace.tally.numpy(),
+            "variance": self.variance,
+        }
+        if self._trace.part.shape[0]:
+            found["part"] = self._trace.part.numpy()
+        return found
+
+
+def _unfinished(
+    tile: _Tile, active: NDArray[np.int32], width: int, settings: Sampling
+) -> NDArray[np.int32]:
+    """Return the pixels of the blocks whose error is still above the target."""
+    if settings.target_error <= 0.0:
+        return active
+    row, column = active // width, active % width
+    block = row // BLOCK * (-(-width // BLOCK)) + column // BLOCK
+    _, owner, sizes = np.unique(block, return_inverse=True, return_counts=True)
+    variance = np.bincount(owner, tile.variance[active]) / sizes
+    level = np.maximum(np.bincount(owner, tile.mean[active]) / sizes, settings.floor)
+    keep = variance > (settings.target_error * level) ** 2
+    return active[keep[owner]]
+
+
+def _extra(
+    result: dict[str, NDArray[Any]],
+    taken: NDArray[np.float32],
+    xyza: NDArray[np.float32],
+    shape: tuple[int, int],
+) -> dict[str, NDArray[np.float32]]:
+    """Return the parts and measures of a picture by their names."""
+    parts = (result["part"] / taken[:, :, None]).reshape(*shape, len(PARTS), 3)
+    tally = result["tally"]
+    whole = np.where(tally[:, 1] > 0.0, tally[:, 1], 1.0)
+    visibility = np.where(tally[:, 1] > 0.0, 1.0 + tally[:, 2] / whole, 0.0)
+    extra = {name: parts[:, :, k] for k, name in enumerate(PARTS)}
+    extra["direct"] = xyza[:, :, :3] - extra["indirect"]
+    extra["variance"] = result["variance"].reshape(shape)
+    extra["sampleCount"] = tally[:, 3].reshape(shape)
+    extra["visibility"] = np.clip(visibility, 0.0, 1.0).astype(np.float32).reshape(shape)
+    return extra

@@ -1,0 +1,489 @@
+"""Shadowed pictures: what the map gives, less what does not arrive.
+
+The unshadowed integrals J1 and J2 of a point are exact and cost a lookup. So only the light that
+something weakens is estimated, by directions chosen from the light tree: where nothing stands in
+the way there is no noise at all. A sample's light carries coefficient channels, so there is no
+spectral noise either (DESIGN section 2).
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from usdskin.warp_kernels.film import (
+    MAX_LAYERS,
+    camera_ray,
+    deposit_dome,
+    first_hit,
+    shines_when_clear,
+    surface_point,
+)
+from usdskin.warp_kernels.light_tree import (
+    LightTree,
+    TreeSample,
+    dome_texel_towards,
+    sample_tree,
+    tree_density,
+    tree_light,
+)
+from usdskin.warp_kernels.sampling import (
+    TWO_PI,
+    around,
+    hash_pair,
+    low_discrepancy,
+)
+from usdskin.warp_kernels.skin import (
+    Point,
+    Reflection,
+    base_weight,
+    deposit,
+    first_glossy_row,
+    ggx,
+    passage_entry,
+    passage_weight,
+    reflect_preview_surface,
+    reflect_skin,
+    shade_emission,
+    shade_preview_surface,
+    shade_skin,
+)
+from usdskin.warp_kernels.structs import (
+    CameraRays,
+    Film,
+    Geometry,
+    Lights,
+    Materials,
+)
+from usdskin.warp_kernels.visibility import cross_bodies, lift, surface_opacity
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+FAR = wp.constant(1.0e18)
+
+LENS_DIMENSION = wp.constant(0)
+LIGHT_DIMENSION = wp.constant(2)
+GLOSS_DIMENSION = wp.constant(5)
+
+
+@wp.struct
+class Trace:
+    """What a pass of samples adds to a tile."""
+
+    tree: LightTree
+
+    sobol: wp.array2d[wp.uint32]
+    """Direction numbers (``direction_numbers``)."""
+
+    pixel: wp.array[wp.int32]
+    """Pixels of the tile that take part, shape [pixel_count]."""
+
+    key: wp.uint32
+    """Seed and frame."""
+
+    first_sample: wp.int32
+    """Index of the pass's first sample in every pixel's sequence."""
+
+    part: wp.array2d[wp.vec3f]
+    """Sums of XYZ: diffuse, specular, emission, indirect, shape [tile_pixels, 4], or [0, 0]."""
+
+    tally: wp.array[wp.vec4f]
+    """Sums over all passes: Y, unshadowed Y, Y that something weakened, samples, shape
+    [tile_pixels]."""
+
+    luminance: wp.array[wp.float32]
+    """Sum of Y over this pass, shape [tile_pixels]."""
+
+
+@wp.func
+def _finish(materials: Materials, film: Film, trace: Trace, pixel: wp.int32, material: wp.int32):
+    """Add the scratch of one material to XYZ, its parts and the spectrum, and clear it."""
+    if material < 0:
+        return
+    first = materials.row[material]
+    xyza = film.xyza[pixel]
+    total = wp.vec3f(0.0, 0.0, 0.0)
+    bands = film.spectrum.shape[1]
+    with_parts = trace.part.shape[0] > 0
+    for q in range(materials.row_count[material]):
+        value = film.channel[pixel, q]
+        xyz = wp.vec3f(
+            wp.dot(materials.xyz_x[first + q], value),
+            wp.dot(materials.xyz_y[first + q], value),
+            wp.dot(materials.xyz_z[first + q], value),
+        )
+        total += xyz
+        if with_parts:
+            trace.part[pixel, materials.row_part[first + q]] += xyz
+        at = 4 * (first + q)
+        for b in range(bands):
+            part = value[0] * materials.band[at, b] + value[1] * materials.band[at + 1, b]
+            part += value[2] * materials.band[at + 2, b] + value[3] * materials.band[at + 3, b]
+            film.spectrum[pixel, b] += part
+        film.channel[pixel, q] = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    film.xyza[pixel] = xyza + wp.vec4f(total[0], total[1], total[2], 0.0)
+
+
+@wp.func
+def _shade_direction(
+    geometry: Geometry, lights: Lights, materials: Materials, film: Film, trace: Trace,
+    pixel: wp.int32, point: Point, r: Reflection, sample: TreeSample, clear: wp.float32,
+    length: wp.float32,
+) -> wp.float32:  # fmt: skip
+    """Correct the diffuse rows for one direction of light; return the Y added.
+
+    Args:
+        geometry: The scene.
+        lights: The channels.
+        materials: The surfaces.
+        film: The tile.
+        trace: The pass.
+        pixel: Pixel of the tile.
+        point: What is lit.
+        r: Its reflection.
+        sample: The direction.
+        clear: What other bodies let pass [1].
+        length: Way inside the own body [m].
+    """
+    m = point.material
+    is_skin = materials.kind[m] == 1
+    rank = materials.passage_rank[m]
+    wrap = lights.wrap[materials.wrap_set[m]]
+    x = wp.dot(point.normal, sample.direction)
+    k1 = wp.max(x, 0.0)
+    k2 = float(0.0)
+    if is_skin:
+        k2 = wp.max((x + wrap) / (1.0 + wrap), 0.0)
+    # What the maps have given already: all of it, or all that comes from in front of the skin.
+    given = float(1.0)
+    if rank > 0 and x <= 0.0:
+        given = 0.0
+    crosses = rank > 0 and length > 0.0
+    change = clear - given
+    if crosses:
+        change = -given
+    if change == 0.0 and not crosses:
+        return 0.0
+    entry = float(0.0)
+    if crosses:
+        entry = passage_entry(materials, m, length)
+    groups = lights.group_count
+    bases = materials.weight_count[m]
+    span = bases * groups
+    y = float(0.0)
+    for g in range(groups):
+        light = tree_light(trace.tree, sample, g)
+        for j in range(bases):
+            row = j * groups + g
+            value = (r.diffuse * base_weight(r.low, r.high, j)) * light
+            if change != 0.0:
+                y += deposit(materials, film, pixel, m, row, (change * k1) * value)
+                if is_skin:
+                    y += deposit(materials, film, pixel, m, span + row, (change * k2) * value)
+            if crosses:
+                for k in range(rank):
+                    through = (clear * passage_weight(materials, m, entry, k)) * value
+                    at = (2 + k) * span + row
+                    y += deposit(materials, film, pixel, m, at, k2 * through)
+                    at = (2 + rank + k) * span + row
+                    y += deposit(materials, film, pixel, m, at, k1 * through)
+    return y
+
+
+@wp.func
+def _lobes_towards(materials: Materials, point: Point, r: Reflection, toward: wp.vec3f) -> wp.vec3f:
+    """Return the lobes' values towards a direction, cosine included.
+
+    The white reflections, the tinted one per unit of tint, and the density [1/sr] with which
+    ``_sample_lobe`` chooses the direction.
+    """
+    nl = wp.dot(point.normal, toward)
+    if nl <= 0.0:
+        return wp.vec3f(0.0, 0.0, 0.0)
+    half = wp.normalize(toward + point.view)
+    nh = wp.clamp(wp.dot(point.normal, half), 0.0, 1.0)
+    rise = wp.pow(1.0 - wp.clamp(wp.dot(point.view, half), 0.0, 1.0), 5.0)
+    first = ggx(wp.max(r.alpha, 1.0e-3), nh, nl, r.nv)
+    single = first
+    density = (1.0 - r.second) * _half_density(r.alpha, nh, r.nv)
+    if r.second > 0.0:
+        single = (1.0 - r.second) * first
+        single += r.second * ggx(wp.max(r.second_alpha, 1.0e-3), nh, nl, r.nv)
+        density += r.second * _half_density(r.second_alpha, nh, r.nv)
+    white = r.shine * single * (r.f0 * (1.0 - rise) + rise)
+    if r.coat > 0.0:
+        share = _coat_share(r)
+        coat = ggx(wp.max(r.coat_alpha, 1.0e-3), nh, nl, r.nv)
+        white += r.coat * coat * (0.04 * (1.0 - rise) + rise)
+        density = (1.0 - share) * density + share * _half_density(r.coat_alpha, nh, r.nv)
+    return wp.vec3f(white, r.shine * first * (1.0 - rise), density)
+
+
+@wp.func
+def _coat_share(r: Reflection) -> wp.float32:
+    return 0.5 * r.coat / wp.max(r.coat + r.shine, 1.0e-6)
+
+
+@wp.func
+def _half_density(alpha: wp.float32, nh: wp.float32, nv: wp.float32) -> wp.float32:
+    """Return the density [1/sr] of directions mirrored at visible GGX normals (Heitz 2018)."""
+    a = wp.max(alpha, 1.0e-3)
+    a2 = a * a
+    d = nh * nh * (a2 - 1.0) + 1.0
+    masked = 2.0 * nv / (nv + wp.sqrt(a2 + (1.0 - a2) * nv * nv))
+    return masked * a2 / (3.14159265 * d * d) / (4.0 * nv)
+
+
+@wp.func
+def _sample_lobe(point: Point, r: Reflection, u: wp.vec3f) -> wp.vec3f:
+    """Choose a lobe and mirror the view at one of its visible normals (Dupuy and Benyoub 2023)."""
+    alpha = r.alpha
+    pick = float(u[0])
+    share = float(0.0)
+    if r.coat > 0.0:
+        share = _coat_share(r)
+    if pick < share:
+        alpha = r.coat_alpha
+    elif (pick - share) / (1.0 - share) < r.second:
+        alpha = r.second_alpha
+    alpha = wp.max(alpha, 1.0e-3)
+    n = point.normal
+    tangent = around(n, wp.vec3f(1.0, 0.0, 0.0))
+    bitangent = wp.cross(n, tangent)
+    view = wp.vec3f(wp.dot(point.view, tangent), wp.dot(point.view, bitangent), r.nv)
+    stretched = wp.normalize(wp.vec3f(alpha * view[0], alpha * view[1], view[2]))
+    angle = TWO_PI * u[1]
+    z = (1.0 - u[2]) * (1.0 + stretched[2]) - stretched[2]
+    sine = wp.sqrt(wp.clamp(1.0 - z * z, 0.0, 1.0))
+    cap = wp.vec3f(sine * wp.cos(angle), sine * wp.sin(angle), z) + stretched
+    half = wp.normalize(wp.vec3f(alpha * cap[0], alpha * cap[1], wp.max(cap[2], 0.0)))
+    mirrored = 2.0 * wp.dot(view, half) * half - view
+    return mirrored[0] * tangent + mirrored[1] * bitangent + mirrored[2] * n
+
+
+@wp.func
+def _deposit_gloss(
+    lights: Lights, materials: Materials, film: Film, pixel: wp.int32, material: wp.int32,
+    r: Reflection, group: wp.int32, light: wp.vec4f, lobes: wp.vec3f,
+) -> wp.float32:  # fmt: skip
+    """Deposit light of one channel group that the lobes reflect; return its Y."""
+    row = first_glossy_row(lights, materials, material) + group
+    y = deposit(materials, film, pixel, material, row, lobes[0] * light)
+    for j in range(r.tints):
+        at = row + (1 + j) * lights.group_count
+        share = lobes[1] * r.tint[wp.min(j, 3)]
+        y += deposit(materials, film, pixel, material, at, share * light)
+    return y
+
+
+@wp.func
+def _shine_towards_domes(
+    geometry: Geometry, lights: Lights, materials: Materials, film: Film, trace: Trace,
+    pixel: wp.int32, point: Point, r: Reflection, own: wp.int32, mix: wp.float32, u: wp.vec3f,
+) -> wp.float32:  # fmt: skip
+    """Follow one reflected ray to the domes, weighed against the light tree's samples."""
+    toward = _sample_lobe(point, r, u)
+    lobes = _lobes_towards(materials, point, r, toward)
+    if lobes[2] <= 0.0:
+        return 0.0
+    crossing = cross_bodies(geometry, materials, lift(point), toward, FAR, own, 0.0)
+    if crossing.clear <= 0.0:
+        return 0.0
+    m = point.material
+    wrap = lights.wrap[materials.wrap_set[m]]
+    y = float(0.0)
+    for dome in range(trace.tree.dome_size.shape[0]):
+        texel = dome_texel_towards(trace.tree, dome, toward)
+        other = tree_density(trace.tree, dome, texel, point.normal, wrap, mix)
+        size = trace.tree.dome_size[dome]
+        first = trace.tree.dome_first[dome]
+        for g in range(first[3]):
+            light = trace.tree.dome_texel[first[0] + g * size[0] * size[1] + texel]
+            light = (crossing.clear / (lobes[2] + other)) * light
+            y += _deposit_gloss(lights, materials, film, pixel, m, r, first[2] + g, light, lobes)
+    return y
+
+
+@wp.func
+def _shade_point(
+    geometry: Geometry, lights: Lights, materials: Materials, film: Film, trace: Trace,
+    pixel: wp.int32, key: wp.uint32, index: wp.int32, point: Point, r: Reflection,
+) -> wp.vec3f:  # fmt: skip
+    """Deposit all light of a point; return Y, its unshadowed diffuse part and what was weakened."""
+    m = point.material
+    is_skin = materials.kind[m] == 1
+    base = float(0.0)
+    own = int(-1)
+    mix = float(0.0)
+    if is_skin:
+        base = shade_skin(geometry, lights, materials, film, pixel, point, r, 0.0)
+        own = point.prim
+        mix = 0.4
+    else:
+        base = shade_preview_surface(lights, materials, film, pixel, point, r)
+    glossy = r.shine > 0.0 or r.coat > 0.0
+    limit = materials.passage_limit[m]
+    wrap = lights.wrap[materials.wrap_set[m]]
+    y = float(0.0)
+    shine = float(0.0)
+    u = wp.vec3f(
+        low_discrepancy(trace.sobol, key, index, LIGHT_DIMENSION),
+        low_discrepancy(trace.sobol, key, index, LIGHT_DIMENSION + 1),
+        low_discrepancy(trace.sobol, key, index, LIGHT_DIMENSION + 2),
+    )
+    sample = sample_tree(trace.tree, point.normal, wrap, mix, u)
+    lobes = wp.vec3f(0.0, 0.0, 0.0)
+    if sample.scale > 0.0 and glossy:
+        lobes = _lobes_towards(materials, point, r, sample.direction)
+    if sample.scale > 0.0 and (r.diffuse > 0.0 or lobes[0] + lobes[1] > 0.0):
+        crossing = cross_bodies(geometry, materials, lift(point), sample.direction, FAR, own, limit)
+        y += _shade_direction(
+            geometry, lights, materials, film, trace, pixel, point, r, sample,
+            crossing.clear, crossing.length,
+        )  # fmt: skip
+        if lobes[0] + lobes[1] > 0.0 and crossing.clear > 0.0 and crossing.length <= 0.0:
+            share = crossing.clear
+            if sample.dome >= 0:
+                share = share * sample.density / (sample.density + lobes[2])
+            for g in range(lights.group_count):
+                light = share * tree_light(trace.tree, sample, g)
+                shine += _deposit_gloss(lights, materials, film, pixel, m, r, g, light, lobes)
+    if glossy:
+        u = wp.vec3f(
+            low_discrepancy(trace.sobol, key, index, GLOSS_DIMENSION),
+            low_discrepancy(trace.sobol, key, index, GLOSS_DIMENSION + 1),
+            low_discrepancy(trace.sobol, key, index, GLOSS_DIMENSION + 2),
+        )
+        if limit > 0.0:
+            own = -1  # a body that dims the diffuse light blocks its reflections
+        shine += _shine_towards_domes(
+            geometry, lights, materials, film, trace, pixel, point, r, own, mix, u
+        )
+    return wp.vec3f(base + y + shine, base, y)
+
+
+@wp.kernel(enable_backward=False)
+def _trace_kernel(
+    # In:
+    geometry: Geometry,
+    camera: CameraRays,
+    lights: Lights,
+    materials: Materials,
+    trace: Trace,
+    # Out:
+    film: Film,
+):
+    """Add a pass of samples to some pixels of a tile.
+
+    All results are sums over samples; ``trace.tally`` counts them.
+
+    Launch dimension: [pixel_count].
+    """
+    pixel = trace.pixel[wp.tid()]
+    index = film.first_pixel + pixel
+    column = index % camera.width
+    row = index / camera.width
+    key = hash_pair(trace.key, wp.uint32(index))
+    samples = film.sample.shape[0]
+    dome = materials.kind.shape[0] - 1
+    current = int(-1)
+    alpha = float(0.0)
+    sums = wp.vec3f(0.0, 0.0, 0.0)
+    rasterized = film.face.shape[0] > 0
+    sharpness = 0.25
+    for s in range(samples):
+        offset = film.sample[s]
+        number = trace.first_sample + s
+        lens = wp.vec2f(0.0, 0.0)
+        if camera.lens_radius > 0.0:
+            lens = wp.vec2f(
+                low_discrepancy(trace.sobol, key, number, LENS_DIMENSION),
+                low_discrepancy(trace.sobol, key, number, LENS_DIMENSION + 1),
+            )
+        ray = camera_ray(
+            camera,
+            wp.float32(column) + 0.5 + offset[0],
+            wp.float32(row) + 0.5 + offset[1],
+            lens,
+        )
+        ray.spread = ray.spread * sharpness
+        ray.width = ray.width * sharpness
+        clear = float(1.0)
+        start = float(0.0)
+        seen_through = int(1)
+        for layer in range(MAX_LAYERS):
+            face = int(-1)
+            at = wp.vec3f(0.0, 0.0, 0.0)
+            if layer == 0 and rasterized:
+                face = film.face[pixel, s]
+                if face >= 0:
+                    at = first_hit(geometry, ray, face)
+            else:
+                hit = wp.mesh_query_ray(
+                    geometry.mesh,
+                    ray.origin + start * ray.direction,
+                    ray.direction,
+                    ray.length - start,
+                )
+                if hit.result:
+                    face = hit.face
+                    at = wp.vec3f(hit.u, hit.v, hit.t)
+            if face < 0:
+                break
+            distance = start + at[2]
+            point = surface_point(geometry, ray, face, at[0], at[1], distance)
+            opacity = surface_opacity(geometry, materials, point)
+            if point.material != current:
+                _finish(materials, film, trace, pixel, current)
+                current = point.material
+            layer_key = hash_pair(key, wp.uint32(layer))
+            if materials.kind[current] == 1:
+                r = reflect_skin(geometry, lights, materials, point, clear)
+                sums += _shade_point(
+                    geometry, lights, materials, film, trace, pixel, layer_key, number, point, r
+                )
+            elif opacity > 0.0 or shines_when_clear(materials, current):
+                r = reflect_preview_surface(geometry, lights, materials, point, clear, opacity)
+                sums += _shade_point(
+                    geometry, lights, materials, film, trace, pixel, layer_key, number, point, r
+                )
+                shade_emission(geometry, lights, materials, film, pixel, point, r)
+            alpha += clear * opacity
+            clear = clear * (1.0 - opacity)
+            start = distance * 1.000001 + 1.0e-6
+            if clear < 1.0e-4 or start >= ray.length:
+                seen_through = 0
+                break
+        if seen_through != 0 and film.show_dome != 0:
+            if current != dome:
+                _finish(materials, film, trace, pixel, current)
+                current = dome
+            deposit_dome(lights, film, pixel, ray.direction, clear)
+            alpha += clear
+    _finish(materials, film, trace, pixel, current)
+    total = film.xyza[pixel]
+    film.xyza[pixel] = wp.vec4f(total[0], total[1], total[2], total[3] + alpha)
+    trace.luminance[pixel] = sums[0]
+    trace.tally[pixel] += wp.vec4f(sums[0], sums[1], sums[2], wp.float32(samples))
+
+
+def trace_pass(
+    geometry: Geometry,
+    camera: CameraRays,
+    lights: Lights,
+    materials: Materials,
+    trace: Trace,
+    film: Film,
+) -> None:
+    """Add a pass of samples to ``trace.pixel`` of one tile."""
+    wp.launch(
+        _trace_kernel,
+        dim=trace.pixel.shape[0],
+        inputs=[geometry, camera, lights, materials, trace],
+        outputs=[film],
+        device=film.xyza.device,
+    )
+
+
+def load(device: str) -> None:
+    """Load this module's kernels, compiled if the cache has none."""
+    wp.load_module(__name__, device)
