@@ -226,7 +226,8 @@ def test_spectral_picture_counts_its_bands_as_memory(resolve):
         "uniform int usdskin:samplesPerPixel = 5000",
         "uniform int usdskin:seed = -1",
         'uniform token usdskin:pixelFilter = "blackmanHarriss"',
-        'uniform token usdskin:integrator = "traced"',
+        'uniform token usdskin:integrator = "rays"',
+        "uniform float usdskin:targetError = 2",
         'uniform token usdskin:observer = "cie1931"',
         "uniform double[] usdskin:wavelengths = []",
         "uniform double[] usdskin:wavelengths = [500, 400]",
@@ -259,7 +260,8 @@ def test_wrong_authored_value_is_an_error_of_the_layer(resolve, opinion):
         ("samples", 4097),
         ("seed", -1),
         ("subdivision_level", 9),
-        ("integrator", "traced"),
+        ("integrator", "rays"),
+        ("target_error", -0.1),
         ("purposes", ("rendr",)),
         ("mask", ("World",)),
         ("mask", ("/Cam.focalLength",)),
@@ -280,9 +282,17 @@ def test_misspelt_token_is_answered_with_the_one_that_was_meant(resolve):
         resolve(**with_settings('uniform token usdskin:pixelFilter = "blackmanHariss"'))
 
 
-def test_flag_for_the_map_makes_a_traced_stage_renderable(resolve):
+def test_flag_for_the_map_wins_over_a_traced_stage(resolve):
     traced = with_settings('uniform token usdskin:integrator = "traced"')
     assert resolve(**traced, integrator="map")[0].settings.integrator == "map"
+
+
+def test_traced_pictures_take_more_samples_where_nobody_says_how_many(resolve):
+    assert resolve(integrator="map")[0].settings.samples_per_pixel == 4
+    assert resolve(integrator="traced")[0].settings.samples_per_pixel == 64
+    assert resolve(integrator="traced", samples=9)[0].settings.samples_per_pixel == 9
+    authored = with_settings("uniform int usdskin:samplesPerPixel = 7")
+    assert resolve(**authored, integrator="traced")[0].settings.samples_per_pixel == 7
 
 
 @pytest.mark.parametrize(

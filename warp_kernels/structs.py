@@ -157,6 +157,17 @@ class Materials:
     """Way through a body beyond which no light is left [m]; 0 where it is clear, shape
     [material_count]."""
 
+    sent_row: wp.array[wp.int32]
+    """Where a material begins in the list of rows that surfaces send to others, shape
+    [material_count]."""
+
+    sent_count: wp.int32
+    """Length of that list; 0 where light does not bounce."""
+
+    indirect_row: wp.array[wp.int32]
+    """First row of light from other surfaces: per pass and base, the whole list, shape
+    [material_count]."""
+
     row_part: wp.array[wp.int32]
     """0 diffuse, 1 specular, 2 emission, 3 indirect, shape [row_count]."""
 

@@ -18,27 +18,13 @@ from usdskin.warp_kernels.film import (
     shines_when_clear,
     surface_point,
 )
-from usdskin.warp_kernels.light_tree import (
-    LightTree,
-    TreeSample,
-    dome_texel_towards,
-    sample_tree,
-    tree_density,
-    tree_light,
-)
-from usdskin.warp_kernels.sampling import (
-    TWO_PI,
-    around,
-    hash_pair,
-    low_discrepancy,
-)
+from usdskin.warp_kernels.light_tree import TreeSample, sample_tree, tree_light
+from usdskin.warp_kernels.sampling import hash_pair, low_discrepancy
 from usdskin.warp_kernels.skin import (
     Point,
     Reflection,
     base_weight,
     deposit,
-    first_glossy_row,
-    ggx,
     passage_entry,
     passage_weight,
     reflect_preview_surface,
@@ -47,51 +33,19 @@ from usdskin.warp_kernels.skin import (
     shade_preview_surface,
     shade_skin,
 )
-from usdskin.warp_kernels.structs import (
-    CameraRays,
-    Film,
-    Geometry,
-    Lights,
-    Materials,
+from usdskin.warp_kernels.structs import CameraRays, Film, Geometry, Lights, Materials
+from usdskin.warp_kernels.trace_bounce import bounce
+from usdskin.warp_kernels.trace_gloss import deposit_gloss, lobes_towards, shine_towards_domes
+from usdskin.warp_kernels.trace_structs import (
+    FAR,
+    GLOSS_DIMENSION,
+    LENS_DIMENSION,
+    LIGHT_DIMENSION,
+    Trace,
 )
 from usdskin.warp_kernels.visibility import cross_bodies, lift, surface_opacity
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
-
-FAR = wp.constant(1.0e18)
-
-LENS_DIMENSION = wp.constant(0)
-LIGHT_DIMENSION = wp.constant(2)
-GLOSS_DIMENSION = wp.constant(5)
-
-
-@wp.struct
-class Trace:
-    """What a pass of samples adds to a tile."""
-
-    tree: LightTree
-
-    sobol: wp.array2d[wp.uint32]
-    """Direction numbers (``direction_numbers``)."""
-
-    pixel: wp.array[wp.int32]
-    """Pixels of the tile that take part, shape [pixel_count]."""
-
-    key: wp.uint32
-    """Seed and frame."""
-
-    first_sample: wp.int32
-    """Index of the pass's first sample in every pixel's sequence."""
-
-    part: wp.array2d[wp.vec3f]
-    """Sums of XYZ: diffuse, specular, emission, indirect, shape [tile_pixels, 4], or [0, 0]."""
-
-    tally: wp.array[wp.vec4f]
-    """Sums over all passes: Y, unshadowed Y, Y that something weakened, samples, shape
-    [tile_pixels]."""
-
-    luminance: wp.array[wp.float32]
-    """Sum of Y over this pass, shape [tile_pixels]."""
 
 
 @wp.func
@@ -190,120 +144,6 @@ def _shade_direction(
 
 
 @wp.func
-def _lobes_towards(materials: Materials, point: Point, r: Reflection, toward: wp.vec3f) -> wp.vec3f:
-    """Return the lobes' values towards a direction, cosine included.
-
-    The white reflections, the tinted one per unit of tint, and the density [1/sr] with which
-    ``_sample_lobe`` chooses the direction.
-    """
-    nl = wp.dot(point.normal, toward)
-    if nl <= 0.0:
-        return wp.vec3f(0.0, 0.0, 0.0)
-    half = wp.normalize(toward + point.view)
-    nh = wp.clamp(wp.dot(point.normal, half), 0.0, 1.0)
-    rise = wp.pow(1.0 - wp.clamp(wp.dot(point.view, half), 0.0, 1.0), 5.0)
-    first = ggx(wp.max(r.alpha, 1.0e-3), nh, nl, r.nv)
-    single = first
-    density = (1.0 - r.second) * _half_density(r.alpha, nh, r.nv)
-    if r.second > 0.0:
-        single = (1.0 - r.second) * first
-        single += r.second * ggx(wp.max(r.second_alpha, 1.0e-3), nh, nl, r.nv)
-        density += r.second * _half_density(r.second_alpha, nh, r.nv)
-    white = r.shine * single * (r.f0 * (1.0 - rise) + rise)
-    if r.coat > 0.0:
-        share = _coat_share(r)
-        coat = ggx(wp.max(r.coat_alpha, 1.0e-3), nh, nl, r.nv)
-        white += r.coat * coat * (0.04 * (1.0 - rise) + rise)
-        density = (1.0 - share) * density + share * _half_density(r.coat_alpha, nh, r.nv)
-    return wp.vec3f(white, r.shine * first * (1.0 - rise), density)
-
-
-@wp.func
-def _coat_share(r: Reflection) -> wp.float32:
-    return 0.5 * r.coat / wp.max(r.coat + r.shine, 1.0e-6)
-
-
-@wp.func
-def _half_density(alpha: wp.float32, nh: wp.float32, nv: wp.float32) -> wp.float32:
-    """Return the density [1/sr] of directions mirrored at visible GGX normals (Heitz 2018)."""
-    a = wp.max(alpha, 1.0e-3)
-    a2 = a * a
-    d = nh * nh * (a2 - 1.0) + 1.0
-    masked = 2.0 * nv / (nv + wp.sqrt(a2 + (1.0 - a2) * nv * nv))
-    return masked * a2 / (3.14159265 * d * d) / (4.0 * nv)
-
-
-@wp.func
-def _sample_lobe(point: Point, r: Reflection, u: wp.vec3f) -> wp.vec3f:
-    """Choose a lobe and mirror the view at one of its visible normals (Dupuy and Benyoub 2023)."""
-    alpha = r.alpha
-    pick = float(u[0])
-    share = float(0.0)
-    if r.coat > 0.0:
-        share = _coat_share(r)
-    if pick < share:
-        alpha = r.coat_alpha
-    elif (pick - share) / (1.0 - share) < r.second:
-        alpha = r.second_alpha
-    alpha = wp.max(alpha, 1.0e-3)
-    n = point.normal
-    tangent = around(n, wp.vec3f(1.0, 0.0, 0.0))
-    bitangent = wp.cross(n, tangent)
-    view = wp.vec3f(wp.dot(point.view, tangent), wp.dot(point.view, bitangent), r.nv)
-    stretched = wp.normalize(wp.vec3f(alpha * view[0], alpha * view[1], view[2]))
-    angle = TWO_PI * u[1]
-    z = (1.0 - u[2]) * (1.0 + stretched[2]) - stretched[2]
-    sine = wp.sqrt(wp.clamp(1.0 - z * z, 0.0, 1.0))
-    cap = wp.vec3f(sine * wp.cos(angle), sine * wp.sin(angle), z) + stretched
-    half = wp.normalize(wp.vec3f(alpha * cap[0], alpha * cap[1], wp.max(cap[2], 0.0)))
-    mirrored = 2.0 * wp.dot(view, half) * half - view
-    return mirrored[0] * tangent + mirrored[1] * bitangent + mirrored[2] * n
-
-
-@wp.func
-def _deposit_gloss(
-    lights: Lights, materials: Materials, film: Film, pixel: wp.int32, material: wp.int32,
-    r: Reflection, group: wp.int32, light: wp.vec4f, lobes: wp.vec3f,
-) -> wp.float32:  # fmt: skip
-    """Deposit light of one channel group that the lobes reflect; return its Y."""
-    row = first_glossy_row(lights, materials, material) + group
-    y = deposit(materials, film, pixel, material, row, lobes[0] * light)
-    for j in range(r.tints):
-        at = row + (1 + j) * lights.group_count
-        share = lobes[1] * r.tint[wp.min(j, 3)]
-        y += deposit(materials, film, pixel, material, at, share * light)
-    return y
-
-
-@wp.func
-def _shine_towards_domes(
-    geometry: Geometry, lights: Lights, materials: Materials, film: Film, trace: Trace,
-    pixel: wp.int32, point: Point, r: Reflection, own: wp.int32, mix: wp.float32, u: wp.vec3f,
-) -> wp.float32:  # fmt: skip
-    """Follow one reflected ray to the domes, weighed against the light tree's samples."""
-    toward = _sample_lobe(point, r, u)
-    lobes = _lobes_towards(materials, point, r, toward)
-    if lobes[2] <= 0.0:
-        return 0.0
-    crossing = cross_bodies(geometry, materials, lift(point), toward, FAR, own, 0.0)
-    if crossing.clear <= 0.0:
-        return 0.0
-    m = point.material
-    wrap = lights.wrap[materials.wrap_set[m]]
-    y = float(0.0)
-    for dome in range(trace.tree.dome_size.shape[0]):
-        texel = dome_texel_towards(trace.tree, dome, toward)
-        other = tree_density(trace.tree, dome, texel, point.normal, wrap, mix)
-        size = trace.tree.dome_size[dome]
-        first = trace.tree.dome_first[dome]
-        for g in range(first[3]):
-            light = trace.tree.dome_texel[first[0] + g * size[0] * size[1] + texel]
-            light = (crossing.clear / (lobes[2] + other)) * light
-            y += _deposit_gloss(lights, materials, film, pixel, m, r, first[2] + g, light, lobes)
-    return y
-
-
-@wp.func
 def _shade_point(
     geometry: Geometry, lights: Lights, materials: Materials, film: Film, trace: Trace,
     pixel: wp.int32, key: wp.uint32, index: wp.int32, point: Point, r: Reflection,
@@ -333,7 +173,7 @@ def _shade_point(
     sample = sample_tree(trace.tree, point.normal, wrap, mix, u)
     lobes = wp.vec3f(0.0, 0.0, 0.0)
     if sample.scale > 0.0 and glossy:
-        lobes = _lobes_towards(materials, point, r, sample.direction)
+        lobes = lobes_towards(materials, point, r, sample.direction)
     if sample.scale > 0.0 and (r.diffuse > 0.0 or lobes[0] + lobes[1] > 0.0):
         crossing = cross_bodies(geometry, materials, lift(point), sample.direction, FAR, own, limit)
         y += _shade_direction(
@@ -346,7 +186,7 @@ def _shade_point(
                 share = share * sample.density / (sample.density + lobes[2])
             for g in range(lights.group_count):
                 light = share * tree_light(trace.tree, sample, g)
-                shine += _deposit_gloss(lights, materials, film, pixel, m, r, g, light, lobes)
+                shine += deposit_gloss(lights, materials, film, pixel, m, r, g, light, lobes)
     if glossy:
         u = wp.vec3f(
             low_discrepancy(trace.sobol, key, index, GLOSS_DIMENSION),
@@ -355,10 +195,13 @@ def _shade_point(
         )
         if limit > 0.0:
             own = -1  # a body that dims the diffuse light blocks its reflections
-        shine += _shine_towards_domes(
+        shine += shine_towards_domes(
             geometry, lights, materials, film, trace, pixel, point, r, own, mix, u
         )
-    return wp.vec3f(base + y + shine, base, y)
+    indirect = float(0.0)
+    if materials.sent_count > 0 and r.diffuse > 0.0:
+        indirect = bounce(geometry, lights, materials, film, trace, pixel, key, index, point, r)
+    return wp.vec3f(base + y + shine + indirect, base, y)
 
 
 @wp.kernel(enable_backward=False)

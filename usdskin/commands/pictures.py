@@ -55,6 +55,12 @@ _PATH = click.Path(path_type=Path)
     help="Stop sampling a traced pixel at this relative error, such as 0.01.",
 )
 @click.option(
+    "--bounces",
+    type=int,
+    metavar="0|1",
+    help="How often reflected light falls on other surfaces; traced only.  [default: 0]",
+)
+@click.option(
     "--filter",
     "pixel_filter",
     type=click.Choice(["box", "triangle", "gaussian", "blackmanHarris"]),

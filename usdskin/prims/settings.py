@@ -17,6 +17,7 @@ _FIELDS = {
     "target_error": "usdskin:targetError",
     "seed": "usdskin:seed",
     "wavelength_nm": "usdskin:wavelengths",
+    "bounces": "usdskin:bounces",
     "observer": "usdskin:observer",
     "subdivision_level": "usdskin:subdivisionLevel",
     "spectral_output": "usdskin:spectralOutput",
@@ -37,6 +38,9 @@ class SkinRenderSettings:
 
     target_error: float
     """Relative standard error at which sampling stops [1]; 0 is off."""
+
+    bounces: int
+    """How often reflected light falls on other surfaces, 0 or 1."""
 
     seed: int
     """Seed of the random numbers."""

@@ -39,7 +39,7 @@ def sample_offsets(
     x = np.linspace(-radius, radius, 4097)
     density = _density(pixel_filter, x / radius)
     cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
-    return np.interp(unit, cumulative / cumulative[-1], x).astype(np.float32)
+    return np.asarray(np.interp(unit, cumulative / cumulative[-1], x), np.float32)
 
 
 def _density(pixel_filter: str, x: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -63,7 +63,8 @@ def build_light_tree(
         device: Where to.
     """
     tree = light_tree.LightTree()
-    parts, texels, leaf_of, first, sizes, rotations = [], [], [], [], [], []
+    parts: list[_Leaves] = []
+    texels, leaf_of, first, sizes, rotations = [], [], [], [], []
     group = used = listed = 0
     for index, dome in enumerate(lights.domes):
         height, width, channels = dome.coefficients.shape

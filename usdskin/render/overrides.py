@@ -59,6 +59,9 @@ class RenderOverrides:
     target_error: float | None = None
     """Relative error at which the sampling of a traced pixel stops [1]."""
 
+    bounces: int | None = None
+    """How often reflected light falls on other surfaces, 0 or 1; traced only."""
+
     pixel_filter: str | None = None
     seed: int | None = None
     illuminant: str | None = None

@@ -96,7 +96,14 @@ def _render_frame(
     show_dome = job.settings.dome == "show"
     traced = job.settings.integrator == "traced"
     brute = job.settings.spectral_method == "brute"
-    device_scene, light = upload(scene, workers, show_dome=show_dome, brute=brute, traced=traced)
+    device_scene, light = upload(
+        scene,
+        workers,
+        show_dome=show_dome,
+        brute=brute,
+        traced=traced,
+        bounces=job.settings.bounces,
+    )
     _lap(seconds, "bake", begun)
     for product, files in wanted:
         _render_product(

@@ -189,6 +189,7 @@ def upload(
     show_dome: bool,
     brute: bool = False,
     traced: bool = False,
+    bounces: int = 0,
 ) -> tuple[DeviceScene, LightField]:
     """Bake the lights, build the material tables and copy the geometry to the device.
 
@@ -197,6 +198,7 @@ def upload(
         workers: Where to.
         show_dome: Whether the camera sees the domes.
         brute: Shade every band from every texel, without factorisation and maps, as the oracle.
+        bounces: How often reflected light falls on other surfaces, where light is traced.
         traced: Whether rays measure the way through bodies and look for reflections.
     """
     device = workers.device
@@ -216,6 +218,7 @@ def upload(
         rows,
         thickness,
         device,
+        bounces if traced else 0,
     )
     st = rows["st"] if any("st" in mesh.primvars for mesh in scene.meshes) else -1
     return (

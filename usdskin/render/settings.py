@@ -111,6 +111,9 @@ class RenderSettings:
     target_error: float
     """Relative standard error at which the sampling of a traced pixel stops [1]; 0 never."""
 
+    bounces: int
+    """How often reflected light falls on other surfaces, 0 or 1; traced only."""
+
     pixel_filter: str
     seed: int
     wavelength_nm: NDArray[np.float64]
@@ -337,6 +340,7 @@ _OPINIONS = {
     "target_error": _Opinion(
         "usdskin:targetError", "--target-error", real_number(0.0, 1.0), "target_error"
     ),
+    "bounces": _Opinion("usdskin:bounces", "--bounces", whole_number(0, 1), "bounces"),
     "pixel_filter": _Opinion(
         "usdskin:pixelFilter", "--filter", one_of(PIXEL_FILTERS), "pixel_filter"
     ),
@@ -362,7 +366,7 @@ def _read_settings(
     traced = "traced" == choose(
         prims, integrator.attribute, integrator.check, "map", integrator.flag, given.integrator
     )
-    values = {
+    values: dict[str, Any] = {
         name: choose(
             prims,
             opinion.attribute,

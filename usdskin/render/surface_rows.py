@@ -89,6 +89,12 @@ class MaterialRows:
     """Spectra of four channels each, shape [4, bands]."""
     diffuse_count: int = 0
     """How many rows, the first ones, are diffuse."""
+    exit_count: int = 0
+    """How many of them, the first ones, light other surfaces."""
+    indirect_row: int = -1
+    """The first row of light from other surfaces, -1 where there is none."""
+    receivers: list[FloatArray] = field(default_factory=list)
+    """What light from other surfaces is multiplied by, per pass and base, shape [bands] each."""
     wrap: float = 0.0
     flags: int = 0
     passage: Passage | None = None
@@ -169,10 +175,12 @@ def skin_rows(
         row.passage = _passage(material, opacity, thickness_range)
         passes += [row.bases * scattering * through for through in row.passage.spectra]
         passes += [row.bases * through for through in row.passage.spectra]
+    row.receivers = [skin.alpha / np.pi * spectrum for part in passes[:2] for spectrum in part]
     for reflectances in passes:
         for spectrum in skin.alpha / np.pi * reflectances:
             row.rows += list(light * spectrum)
     row.diffuse_count = len(row.rows)
+    row.exit_count = 2 * len(row.bases) * len(light)
     row.constant[structs.INPUT_BASE, 0] = 1.0
     row.constant[structs.INPUT_OPACITY, 0] = 1.0
     row.constant[structs.INPUT_THICKNESS] = skin.thickness
@@ -260,9 +268,10 @@ def preview_rows(
         row.constant[structs.INPUT_BASE, 0] = 1.0
     row.flags |= SPECULAR_WORKFLOW * material.use_specular_workflow
     row.flags |= PRESENCE * (material.opacity_mode == "presence")
-    for spectrum in row.bases / np.pi:
+    row.receivers = list(row.bases / np.pi)
+    for spectrum in row.receivers:
         row.rows += list(light * spectrum)
-    row.diffuse_count = len(row.rows)
+    row.diffuse_count = row.exit_count = len(row.rows)
     if material.reflective:
         row.flags |= GLOSSY
         row.rows += list(light)
@@ -309,10 +318,43 @@ def _emission_rows(frame: SpectralFrame) -> FloatArray:
     return np.concatenate([spectra * scale, np.zeros((1, len(nm)))])
 
 
+def add_indirect_rows(rows: list[MaterialRows]) -> NDArray[np.int32]:
+    """Give every surface a row for each way it is lit by another one: pairs of their spectra.
+
+    What a surface sends out are its first rows, and its emission; on another they are multiplied
+    by that one's reflectances. These rows come before the emission, which stays the last.
+
+    Args:
+        rows: All materials and, last, the dome.
+
+    Returns:
+        Where each material's rows begin in the list of all that surfaces send out, and the length
+        of that list, shape [material_count + 1].
+    """
+    sent = [row.rows[: row.exit_count] + row.rows[_emission_begin(row) :] for row in rows[:-1]]
+    begins = np.cumsum([0, *(len(each) for each in sent), 0])
+    everything = np.array([spectrum for each in sent for spectrum in each])
+    for row in rows[:-1]:
+        row.indirect_row = _emission_begin(row)
+        emission = row.rows[row.indirect_row :]
+        row.rows = row.rows[: row.indirect_row]
+        for receiver in row.receivers:
+            row.rows += list(everything * receiver)
+        row.rows += emission
+    return np.asarray(begins, np.int32)
+
+
+def _emission_begin(row: MaterialRows) -> int:
+    return len(row.rows) - (1 if row.flags & EMISSIVE else 0)
+
+
 def row_parts(row: MaterialRows) -> NDArray[np.int32]:
-    """Return what each row shows: 0 diffuse, 1 specular, 2 emission, shape [row_count]."""
-    emitted = 1 if row.flags & EMISSIVE else 0
+    """Return what each row shows: 0 diffuse, 1 specular, 2 emission, 3 indirect, [row_count]."""
     parts = np.ones(len(row.rows), np.int32)
     parts[: row.diffuse_count] = 0
-    parts[len(parts) - emitted :] = 2
+    if row.indirect_row >= 0:
+        parts[row.indirect_row :] = 3
+    parts[_emission_begin(row) :] = 2
+    if row.kind == DOME:
+        parts[:] = 2
     return parts

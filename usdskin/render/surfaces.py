@@ -19,6 +19,7 @@ from usdskin.render.materials import SkinMaterial, SurfaceMaterial
 from usdskin.render.surface_rows import (
     MaterialRows,
     SpectralFrame,
+    add_indirect_rows,
     dome_rows,
     preview_rows,
     row_parts,
@@ -52,6 +53,7 @@ def build_surfaces(
     primvars: dict[str, int],
     thickness_range: dict[str, float],
     device: str,
+    bounces: int = 0,
 ) -> Surfaces:
     """Build the kernels' material tables.
 
@@ -63,6 +65,7 @@ def build_surfaces(
         primvars: Row of each primvar in the scene's corner values.
         thickness_range: Largest thickness [m] that a primvar gives to a material, by its path.
         device: Warp device.
+        bounces: How often reflected light falls on other surfaces, 0 or 1.
 
     Raises:
         LayerError: A material cannot be evaluated; the message names it.
@@ -74,7 +77,14 @@ def build_surfaces(
         for material in materials
     ]
     rows.append(dome_rows(light_spectra))
-    return _upload(rows, frame, wraps, primvars, device)
+    sent = add_indirect_rows(rows) if bounces else np.zeros(len(rows) + 1, np.int32)
+    surfaces = _upload(rows, frame, wraps, primvars, device)
+    target = surfaces.device_materials
+    target.sent_row = wp.array(sent[:-1], dtype=wp.int32, device=device)
+    target.sent_count = int(sent[-1])
+    indirect = np.array([row.indirect_row for row in rows], np.int32)
+    target.indirect_row = wp.array(indirect, dtype=wp.int32, device=device)
+    return surfaces
 
 
 def band_groups(bands: int) -> int:

@@ -28,7 +28,7 @@ from usdskin.render.integrate import (
 )
 from usdskin.render.projection import project
 from usdskin.render.surfaces import band_groups
-from usdskin.warp_kernels import light_tree, raster, sampling, structs, trace
+from usdskin.warp_kernels import light_tree, raster, sampling, structs, trace, trace_structs
 
 BLOCK = 4
 """Side of the blocks of pixels that are sampled alike [px]."""
@@ -106,7 +106,7 @@ def integrate_traced(
     rays = device_camera(camera, resolution)
     bands = band_groups(scene.band_count if spectral else 0)
     count = width * height
-    result = {
+    result: dict[str, NDArray[Any]] = {
         "xyza": np.zeros((count, 4), np.float32),
         "spectrum": np.zeros((count, bands, 4), np.float32),
         "tally": np.zeros((count, 4), np.float32),
@@ -207,7 +207,7 @@ class _Tile:
         film.xyza = wp.zeros(count, dtype=wp.vec4f, device=device)
         film.spectrum = wp.zeros((count, bands), dtype=wp.vec4f, device=device)
         self.film = film
-        self._trace = trace.Trace()
+        self._trace = trace_structs.Trace()
         self._trace.tree = tree
         self._trace.sobol = sobol
         self._trace.key = settings.key
@@ -268,13 +268,13 @@ def _unfinished(
     variance = np.bincount(owner, tile.variance[active]) / sizes
     level = np.maximum(np.bincount(owner, tile.mean[active]) / sizes, settings.floor)
     keep = variance > (settings.target_error * level) ** 2
-    return active[keep[owner]]
+    return np.asarray(active[keep[owner]])
 
 
 def _extra(
     result: dict[str, NDArray[Any]],
-    taken: NDArray[np.float32],
-    xyza: NDArray[np.float32],
+    taken: NDArray[Any],
+    xyza: NDArray[Any],
     shape: tuple[int, int],
 ) -> dict[str, NDArray[np.float32]]:
     """Return the parts and measures of a picture by their names."""
@@ -286,5 +286,5 @@ def _extra(
     extra["direct"] = xyza[:, :, :3] - extra["indirect"]
     extra["variance"] = result["variance"].reshape(shape)
     extra["sampleCount"] = tally[:, 3].reshape(shape)
-    extra["visibility"] = np.clip(visibility, 0.0, 1.0).astype(np.float32).reshape(shape)
-    return extra
+    extra["visibility"] = np.clip(visibility, 0.0, 1.0).reshape(shape)
+    return {name: np.asarray(values, np.float32) for name, values in extra.items()}

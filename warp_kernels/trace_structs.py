@@ -1,0 +1,45 @@
+"""What a pass of the traced integrator works with."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from usdskin.warp_kernels.light_tree import LightTree
+
+FAR = wp.constant(1.0e18)
+"""Distance of domes and distant lights [m]."""
+
+# Dimensions of a sample's low-discrepancy point.
+LENS_DIMENSION = wp.constant(0)
+LIGHT_DIMENSION = wp.constant(2)
+GLOSS_DIMENSION = wp.constant(5)
+BOUNCE_DIMENSION = wp.constant(8)
+
+
+@wp.struct
+class Trace:
+    """What a pass of samples adds to a tile."""
+
+    tree: LightTree
+
+    sobol: wp.array2d[wp.uint32]
+    """Direction numbers (``direction_numbers``)."""
+
+    pixel: wp.array[wp.int32]
+    """Pixels of the tile that take part, shape [pixel_count]."""
+
+    key: wp.uint32
+    """Seed and frame."""
+
+    first_sample: wp.int32
+    """Index of the pass's first sample in every pixel's sequence."""
+
+    part: wp.array2d[wp.vec3f]
+    """Sums of XYZ: diffuse, specular, emission, indirect, shape [tile_pixels, 4], or [0, 0]."""
+
+    tally: wp.array[wp.vec4f]
+    """Sums over all passes: Y, unshadowed Y, Y that something weakened, samples, shape
+    [tile_pixels]."""
+
+    luminance: wp.array[wp.float32]
+    """Sum of Y over this pass, shape [tile_pixels]."""
