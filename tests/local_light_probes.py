@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from usdskin.warp_kernels.light_links import LightLinks, reaches, shades
 from usdskin.warp_kernels.local_lights import (
     LocalLights,
     intersect_local_light,
@@ -52,3 +53,12 @@ def probe_rays(
     hit = intersect_local_light(lights, k, position, direction[i])
     out[i] = wp.vec2f(hit.distance, local_light_pdf(lights, k, position, direction[i]))
     radiance[i] = hit.radiance
+
+
+@wp.kernel
+def probe_links(links: LightLinks, out: wp.array2d[wp.vec2i]):
+    """Return whether a light reaches a prim, and whether the prim shades it."""
+    prim, light = wp.tid()
+    lit = reaches(links, prim, light)
+    shadow = shades(links, prim, light)
+    out[prim, light] = wp.vec2i(int(lit), int(shadow))

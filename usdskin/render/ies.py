@@ -211,7 +211,8 @@ def _read_table(path: Path, numbers: _Numbers) -> IntensityProfile:
     theta = numbers.many(theta_count, "the vertical angles")
     _check_ascending(path, numbers.line, theta, "vertical", 180.0)
     phi = numbers.many(phi_count, "the horizontal angles")
-    _check_ascending(path, numbers.line, phi, "horizontal", 360.0)
+    phi_line = numbers.line
+    _check_ascending(path, phi_line, phi, "horizontal", 360.0)
     values = numbers.many(theta_count * phi_count, "candela values") * factor
     if values.min() < 0.0 or not values.max() > 0.0:
         raise UsdSkinError(
@@ -220,7 +221,7 @@ def _read_table(path: Path, numbers: _Numbers) -> IntensityProfile:
         )
     if theta_count < 2:
         raise UsdSkinError(f"{path}:{numbers.line}: a single vertical angle; give two or more")
-    around, table = _all_around(path, numbers.line, phi, values.reshape(phi_count, theta_count))
+    around, table = _all_around(path, phi_line, phi, values.reshape(phi_count, theta_count))
     return IntensityProfile(theta, around, np.ascontiguousarray(table.T))
 
 
