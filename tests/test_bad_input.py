@@ -501,7 +501,7 @@ FOG = 'string sourceName = "Z" -> string sourceName = "fog"'
     ("case", "code"),
     [
         (bad("crowd", "/Crowd", f'def RenderSettings "Render" -> {INSTANCERS}'), "geometry-not"),
-        (bad("lamp", "/Sun", "DistantLight -> SphereLight"), "light-not-supported"),
+        (bad("lamp", "/Sun", "DistantLight -> SphereLight"), "light-needs-traced"),
         (bad("variable", "/Render/Fog", FOG, "Depth -> Fog"), "aov-not-written"),
         (bad("reference", "/Eye no.usda", 'Eye" ( -> Eye" (references = @./no.usda@\n'),
          "composition-error"),

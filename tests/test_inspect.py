@@ -105,7 +105,7 @@ def test_meshes_tell_counts_and_materials_tell_skin(stage):
 
 def test_what_a_render_would_not_show_is_named(stage):
     report = inspect_file(stage)
-    assert ("light-not-supported", "/World/Lamp") in {
+    assert ("light-needs-traced", "/World/Lamp") in {
         (note["code"], note["path"]) for note in report["notes"]
     }
     assert report["problems"] == []

@@ -154,22 +154,26 @@ def test_lights_in_instances_shine_once_an_instance():
     assert sorted(light.path for light in read(stage).distants) == ["/A/Sun", "/B/Sun"]
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        UsdLux.RectLight,
-        UsdLux.DiskLight,
-        UsdLux.SphereLight,
-        UsdLux.CylinderLight,
-        UsdLux.PortalLight,
-    ],
-)
-def test_other_lights_are_noted(kind):
+def test_portals_are_noted():
     stage = new_stage()
-    kind.Define(stage, "/Other")
+    UsdLux.PortalLight.Define(stage, "/Other")
     notes = []
     assert read(stage, notes).domes == ()
     assert codes(notes) == ["light-not-supported"] and notes[0].path == "/Other"
+
+
+@pytest.mark.parametrize(
+    "kind", [UsdLux.RectLight, UsdLux.DiskLight, UsdLux.SphereLight, UsdLux.CylinderLight]
+)
+def test_lights_with_a_place_are_noted_where_places_are_unknown(kind):
+    stage = new_stage()
+    kind.Define(stage, "/Other")
+    notes = []
+    assert read(stage, notes).locals == ()
+    assert codes(notes) == ["light-needs-traced"] and notes[0].path == "/Other"
+    notes = []
+    (light,) = read(stage, notes, places=True).locals
+    assert light.path == "/Other" and notes == []
 
 
 def test_mesh_lights_and_lights_of_point_instancers_are_noted():

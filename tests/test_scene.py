@@ -749,5 +749,5 @@ def test_json_output_is_objects_that_name_the_files(here, capfd):
     assert wrote == ["out.exr", "out.spectral.exr", "out.png"]
     assert {event["event"] for event in events} >= {"progress", "note", "seconds", "wrote"}
     (note,) = [event for event in events if event["event"] == "note"]
-    assert (note["code"], note["path"]) == ("light-not-supported", "/Lamp")
+    assert (note["code"], note["path"]) == ("light-needs-traced", "/Lamp")
     assert printed.err == ""

@@ -168,10 +168,10 @@ def _read_rgb(
     where = f"{path} ({describe(attribute)})"
     try:
         names = read_headers(path)[0].channel_names
-        chosen = _rgb_channels(where, names)
+        chosen = rgb_channels(where, names)
         image = read_image(path, channels=chosen)
     except ImageError as error:
-        raise _placed(error, path, where) from None
+        raise placed(error, path, where) from None
     pixels = image.pixels
     if pixels.shape[:2] == (1, 1):  # one color all around, in whatever layout
         pixels = np.tile(pixels, (*_UNIFORM, 1))
@@ -186,13 +186,14 @@ def _read_rgb(
     return pixels, spectra
 
 
-def _placed(error: ImageError, path: Path, where: str) -> ImageError:
+def placed(error: ImageError, path: Path, where: str) -> ImageError:
     """Return an image's error with the layer and prim that asked for the image."""
     text = str(error)
     return ImageError(text if where in text else text.replace(str(path), where, 1))
 
 
-def _rgb_channels(where: str, names: tuple[str, ...]) -> tuple[str, ...]:
+def rgb_channels(where: str, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the channels of an RGB or grey picture; ``where`` is what errors call it."""
     if {"R", "G", "B"} <= set(names):
         return ("R", "G", "B")
     grey = [name for name in names if name != "A"]
@@ -275,7 +276,7 @@ def _read_basis(
             )
         image = read_image(path, channels=wanted)
     except ImageError as error:
-        raise _placed(error, path, where) from None
+        raise placed(error, path, where) from None
     on_grid = resample(nm, basis, context.wavelength_nm)
     if not on_grid.any():
         raise LayerError(
@@ -305,7 +306,7 @@ def _read_bands(
     try:
         nm, pixels = read_spectral(path)
     except ImageError as error:
-        raise _placed(error, path, where) from None
+        raise placed(error, path, where) from None
     pixels = mend_values(pixels, context.bad_pixels, where, light.path, context.notes)
     grid = context.wavelength_nm
     if nm.shape != grid.shape or np.abs(nm - grid).max() > 1e-6:

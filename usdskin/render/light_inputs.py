@@ -30,6 +30,7 @@ from usdskin.errors import LayerError, UsageError, UsdSkinError
 from usdskin.layers import describe
 from usdskin.notes import Note
 from usdskin.prims import SpectralLight, read_spectral_light
+from usdskin.render.light_collections import is_linked
 from usdskin.render.light_files import DEFAULT_COLOR_SPACE, said_color_space
 from usdskin.render.texels import BadPixels
 from usdskin.spectrum import SpectralQuantity
@@ -64,6 +65,9 @@ class Context:
 
     notes: list[Note] = field(default_factory=list)
     """Takes what cannot be honoured."""
+
+    places: bool = False
+    """Whether light is followed from place to place: local lights shine, and links hold."""
 
     def note(self, code: str, prim: Usd.Prim, message: str) -> None:
         """Append a note about a prim."""
@@ -191,18 +195,16 @@ def _note_ignored(prim: Usd.Prim, context: Context) -> None:
                 prim,
                 f"inputs:{name} is {value:g}; the light shines on both alike",
             )
-    for name in ("lightLink", "shadowLink"):
-        links = Usd.CollectionAPI(prim, name)
-        root = links.GetIncludeRootAttr()
-        targets = [*links.GetIncludesRel().GetTargets(), *links.GetExcludesRel().GetTargets()]
-        if targets or (root and root.Get() is False):
+    for name in ("lightLink", "shadowLink") if not context.places else ():
+        if is_linked(prim, name):
             context.note(
                 "light-linking-ignored", prim, f"collection:{name}; the light reaches everything"
             )
+    _note_shadows(prim, context)
     filters = prim.GetRelationship("light:filters")
     if filters and filters.GetTargets():
         context.note("light-filters-ignored", prim, "light:filters; the light is unfiltered")
-    if prim.HasAPI(UsdLux.ShapingAPI):
+    if prim.HasAPI(UsdLux.ShapingAPI) and not prim.IsA(UsdLux.BoundableLightBase):
         context.note("light-shaping-ignored", prim, "ShapingAPI; the light shines evenly")
     wired = [
         attribute.GetName()
@@ -215,6 +217,21 @@ def _note_ignored(prim: Usd.Prim, context: Context) -> None:
             prim,
             f"{', '.join(wired)} connected to a shader; the value on the light is used",
         )
+
+
+def _note_shadows(prim: Usd.Prim, context: Context) -> None:
+    """Note what ``ShadowAPI`` says that has no effect."""
+    if not prim.HasAPI(UsdLux.ShadowAPI):
+        return
+    kept = ("enable",) if context.places else ()
+    names = [
+        name
+        for name in ("enable", "color", "distance", "falloff", "falloffGamma")
+        if name not in kept and prim.GetAttribute(f"inputs:shadow:{name}").HasAuthoredValue()
+    ]
+    if names:
+        text = ", ".join(f"inputs:shadow:{name}" for name in names)
+        context.note("light-shadow-ignored", prim, f"{text}; shadows are as light makes them")
 
 
 # --- Spectra -----------------------------------------------------------------------------------

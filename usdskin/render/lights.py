@@ -1,7 +1,8 @@
 """The lights of a stage, with their spectra on one wavelength grid.
 
-Reads: ``DomeLight``, ``DomeLight_1`` and ``DistantLight`` prims of UsdLux, plain (RGB) or with
-``SpectralLightAPI``. Other kinds of light are noted.
+Reads: ``DomeLight``, ``DomeLight_1``, ``DistantLight`` and, for integrators that know places,
+``RectLight``, ``DiskLight``, ``SphereLight`` and ``CylinderLight`` prims of UsdLux, plain (RGB) or
+with ``SpectralLightAPI``. Other kinds of light are noted.
 """
 
 from __future__ import annotations
@@ -29,11 +30,13 @@ from usdskin.render.light_inputs import (
     read_light_prim,
     rgb_spectra,
 )
+from usdskin.render.local_light_prims import is_local, read_local
+from usdskin.render.local_lights import LocalLight
 from usdskin.render.texels import BadPixels
 from usdskin.spectrum import SpectralQuantity, check_grid
 from usdskin.uplift import deepest_dip
 
-__all__ = ["DistantLight", "DomeLight", "Lights", "read_lights"]
+__all__ = ["DistantLight", "DomeLight", "Lights", "LocalLight", "check_lit", "read_lights"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,11 +69,23 @@ class Lights:
     distants: tuple[DistantLight, ...]
     """Distant lights."""
 
+    locals: tuple[LocalLight, ...] = ()
+    """Lights with a place, where the integrator knows places."""
+
+    @property
+    def all(self) -> tuple[DomeLight | DistantLight | LocalLight, ...]:
+        """All lights in the order in which they are numbered."""
+        return (*self.domes, *self.distants, *self.locals)
+
     @property
     def absolute(self) -> bool:
         """Whether the picture is in absolute units; false without a light."""
-        units = [dome.absolute for dome in self.domes]
-        return any(units + [distant.absolute for distant in self.distants])
+        return any(light.absolute for light in self.all)
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """Prim paths in the order in which lights are numbered."""
+        return tuple(light.path for light in self.all)
 
 
 def read_lights(
@@ -81,6 +96,7 @@ def read_lights(
     illuminant: str | None = None,
     bad_pixels: BadPixels = "error",
     notes: list[Note] | None = None,
+    places: bool = False,
 ) -> Lights:
     """Read the lights of a stage.
 
@@ -94,6 +110,8 @@ def read_lights(
         bad_pixels: Whether map pixels that are no light (negative, NaN, infinite) are refused, or
             clamped with a note.
         notes: Takes what cannot be honoured.
+        places: Whether the integrator knows places. Where it does not, each light that has one is
+            noted and left out, and links of lights to prims are noted.
 
     Returns:
         Visible lights in the order of the stage; there may be none.
@@ -112,10 +130,13 @@ def read_lights(
         illuminant=illuminant,
         bad_pixels=bad_pixels,
         notes=[] if notes is None else notes,
+        places=places,
     )
     cache = UsdGeom.XformCache(context.time)
     domes: list[DomeLight] = []
     distants: list[DistantLight] = []
+    local: list[LocalLight] = []
+    meters = UsdGeom.GetStageMetersPerUnit(stage)
     read: list[LightPrim] = []
     for prim in _light_prims(stage, context):
         is_dome = prim.IsA(UsdLux.DomeLight) or prim.IsA(UsdLux.DomeLight_1)
@@ -125,9 +146,32 @@ def read_lights(
         to_world = np.array(cache.GetLocalToWorldTransform(prim)).T
         if is_dome:
             domes.append(read_dome(light, to_world, context))
+        elif is_local(prim):
+            local.append(read_local(light, to_world, meters, context))
         else:
             distants.append(_read_distant(light, to_world, context))
-    return Lights(tuple(domes), tuple(distants))
+    return Lights(tuple(domes), tuple(distants), tuple(local))
+
+
+def check_lit(stage: Usd.Stage, lights: Lights, notes: list[Note]) -> None:
+    """Refuse a stage in which nothing shines.
+
+    Raises:
+        LayerError: There is no light, or only such that the integrator cannot show.
+    """
+    if lights.paths:
+        return
+    name = stage.GetRootLayer().identifier
+    waiting = [note.path for note in notes if note.code == "light-needs-traced"]
+    if waiting:
+        more = f" and {len(waiting) - 1} more" if len(waiting) > 1 else ""
+        raise LayerError(
+            f"{name}: all its light has a place (<{waiting[0]}>{more}), which reflectance maps do "
+            "not know; use --integrator traced, or add a DomeLight or a DistantLight."
+        )
+    raise LayerError(
+        f"{name}: no light shines; add a DomeLight or a DistantLight, or make one visible."
+    )
 
 
 def _light_prims(stage: Usd.Stage, context: Context) -> Iterator[Usd.Prim]:
@@ -159,6 +203,15 @@ def _light_prims(stage: Usd.Stage, context: Context) -> Iterator[Usd.Prim]:
             prim.IsA(kind) for kind in (UsdLux.DomeLight, UsdLux.DomeLight_1, UsdLux.DistantLight)
         ):
             yield prim
+        elif is_local(prim) and context.places:
+            yield prim
+        elif is_local(prim):
+            context.note(
+                "light-needs-traced",
+                prim,
+                f"a {prim.GetTypeName()} has a place, which reflectance maps do not know; it does "
+                "not shine; use --integrator traced",
+            )
         else:
             kind = str(prim.GetTypeName()) or "prim without a type"
             context.note("light-not-supported", prim, f"a light of type {kind}; it does not shine")

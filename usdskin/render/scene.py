@@ -27,7 +27,7 @@ from usdskin.render.light_maps import (
     build_brute_field,
     build_light_field,
 )
-from usdskin.render.lights import Lights, read_lights
+from usdskin.render.lights import Lights, check_lit, read_lights
 from usdskin.render.materials import (
     PrimvarInput,
     SkinMaterial,
@@ -92,11 +92,7 @@ def read_scene(
         settings.bad_pixels,
         notes,
     )
-    if not lights.domes and not lights.distants:
-        raise LayerError(
-            f"{stage.GetRootLayer().identifier}: no light shines; add a DomeLight or a "
-            "DistantLight, or make one visible."
-        )
+    check_lit(stage, lights, notes)
     prims = list(_visible_gprims(stage, time, settings, notes))
     bindings: dict[str, str | None] = {}
 
