@@ -244,6 +244,7 @@ ATTRIBUTES: dict[str, dict[str, tuple[str, object]]] = {
         "usdskin:integrator": ("token", "map"),
         "usdskin:samplesPerPixel": ("int", 4),
         "usdskin:targetError": ("float", 0.0),
+        "usdskin:bounces": ("int", 0),
         "usdskin:seed": ("int", 0),
         "usdskin:wavelengths": ("double[]", tuple(range(400, 701, 5))),
         "usdskin:observer": ("token", "cie1931_2"),
@@ -349,6 +350,7 @@ LIMITS = {
     "samples:saturation": NOT_NEGATIVE,
     "usdskin:samplesPerPixel": (1, None),
     "usdskin:targetError": NOT_NEGATIVE,
+    "usdskin:bounces": (0, 1),
     "usdskin:seed": NOT_NEGATIVE,
     "usdskin:subdivisionLevel": (0, 8),
 }
