@@ -102,11 +102,14 @@ def surface_point(
     point.corner = corner
     point.material = geometry.material[face]
     point.barycentric = wp.vec3f(u, v, 1.0 - u - v)
-    point.position = ray.origin + t * ray.direction
     point.view = -ray.direction
     a = wp.mesh_get_point(geometry.mesh, corner)
     b = wp.mesh_get_point(geometry.mesh, corner + 1)
     c = wp.mesh_get_point(geometry.mesh, corner + 2)
+    # From the corners, for a position along a long ray would lie beside the triangle.
+    point.position = u * a + v * b + (1.0 - u - v) * c
+    largest = wp.max(wp.max(wp.abs(a), wp.abs(b)), wp.abs(c))
+    point.size = wp.max(largest)
     cross = wp.cross(b - a, c - a)
     point.triangle_area = 0.5 * wp.length(cross)
     normal = (

@@ -118,6 +118,8 @@ def sample_tree(
         u: Uniform numbers in [0, 1); the first one walks the tree.
     """
     sample = TreeSample()
+    if tree.leaf_node.shape[0] == 0:
+        return sample
     node = int(0)
     rest = float(u[0])
     chance = float(1.0)
@@ -153,7 +155,8 @@ def sample_tree(
         sample.direction = wp.normalize(
             around(toward, wp.vec3f(across * disk[0], across * disk[1], 1.0 - rise))
         )
-        sample.scale = 1.0 / chance
+        # Irradiance is that of a facing surface, pi sin^2 t of the disc's radiance.
+        sample.scale = 1.0 / (chance * (1.0 - 0.5 * axis[3]))
         if angle > 0.0:
             sample.density = chance / angle
         return sample
@@ -174,6 +177,14 @@ def sample_tree(
     sample.scale = angle / chance
     sample.density = chance / angle
     return sample
+
+
+@wp.func
+def light_number(tree: LightTree, sample: TreeSample) -> wp.int32:
+    """Return a sample's light as ``LightLinks`` numbers them: domes, then distant lights."""
+    if sample.dome < 0:
+        return tree.dome_size.shape[0] - 1 - sample.dome
+    return sample.dome
 
 
 @wp.func

@@ -59,6 +59,8 @@ class Point:
     """Width of what one sample sees of the surface [m]."""
     triangle_area: wp.float32
     """Area of its triangle [m^2]."""
+    size: wp.float32
+    """Largest coordinate of the triangle's corners [m]."""
 
 
 @wp.func
@@ -166,6 +168,28 @@ def diffuse_light(
     total.wrap += wrapped
     total.front += front
     return total
+
+
+@wp.func
+def linked(lights: Lights, prim: wp.int32, group: wp.int32, light: wp.vec4f) -> wp.vec4f:
+    """Return what of a channel group's light reaches a prim."""
+    if lights.links.active == 0:
+        return light
+    return wp.cw_mul(light, lights.link_mask[lights.links.prim_set[prim], group])
+
+
+@wp.func
+def light_of(
+    lights: Lights, wrap_set: wp.int32, kernels: wp.int32, group: wp.int32, point: Point,
+    coordinates: wp.vec2f,
+) -> DiffuseLight:  # fmt: skip
+    """Return the light of one channel group that is meant for a point (``diffuse_light``)."""
+    light = diffuse_light(lights, wrap_set, kernels, group, point.normal, coordinates)
+    if lights.links.active != 0:
+        light.lambert = linked(lights, point.prim, group, light.lambert)
+        light.wrap = linked(lights, point.prim, group, light.wrap)
+        light.front = linked(lights, point.prim, group, light.front)
+    return light
 
 
 @wp.func
@@ -337,7 +361,7 @@ def shade_skin(
     span = bases * groups
     y = float(0.0)
     for g in range(groups):
-        light = diffuse_light(lights, wrap_set, kernels, g, point.normal, coordinates)
+        light = light_of(lights, wrap_set, kernels, g, point, coordinates)
         j1 = light.lambert
         j2 = light.wrap
         back = wp.vec4f(0.0, 0.0, 0.0, 0.0)
@@ -433,7 +457,7 @@ def shade_preview_surface(
     wrap_set = materials.wrap_set[m]
     y = float(0.0)
     for g in range(groups):
-        j1 = diffuse_light(lights, wrap_set, 1, g, point.normal, coordinates).lambert
+        j1 = light_of(lights, wrap_set, 1, g, point, coordinates).lambert
         for j in range(materials.weight_count[m]):
             value = (r.diffuse * base_weight(r.low, r.high, j)) * j1
             y += deposit(materials, film, pixel, m, j * groups + g, value)

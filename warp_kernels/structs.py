@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from usdskin.warp_kernels.light_links import LightLinks
+
 
 @wp.struct
 class Geometry:
@@ -118,6 +120,12 @@ class Lights:
 
     dome_to_local: wp.array[wp.mat33f]
     """World to light frame of each group's dome, shape [group_count]."""
+
+    links: LightLinks
+
+    link_mask: wp.array2d[wp.vec4f]
+    """1 where a channel's light reaches the prims of a row of ``links``, else 0, shape
+    [row_count, group_count]; empty where the links are not active."""
 
 
 @wp.struct

@@ -18,15 +18,12 @@ from usdskin.warp_kernels.film import (
     shines_when_clear,
     surface_point,
 )
-from usdskin.warp_kernels.light_tree import TreeSample, sample_tree, tree_light
+from usdskin.warp_kernels.light_links import reaches
+from usdskin.warp_kernels.light_tree import light_number, sample_tree, tree_light
 from usdskin.warp_kernels.sampling import hash_pair, low_discrepancy
 from usdskin.warp_kernels.skin import (
     Point,
     Reflection,
-    base_weight,
-    deposit,
-    passage_entry,
-    passage_weight,
     reflect_preview_surface,
     reflect_skin,
     shade_emission,
@@ -35,12 +32,14 @@ from usdskin.warp_kernels.skin import (
 )
 from usdskin.warp_kernels.structs import CameraRays, Film, Geometry, Lights, Materials
 from usdskin.warp_kernels.trace_bounce import bounce
-from usdskin.warp_kernels.trace_gloss import deposit_gloss, lobes_towards, shine_towards_domes
+from usdskin.warp_kernels.trace_diffuse import beam_share, shade_beam, shade_local_light
+from usdskin.warp_kernels.trace_gloss import deposit_gloss, lobes_towards, shine
 from usdskin.warp_kernels.trace_structs import (
     FAR,
     GLOSS_DIMENSION,
     LENS_DIMENSION,
     LIGHT_DIMENSION,
+    SKIN_MIX,
     Trace,
 )
 from usdskin.warp_kernels.visibility import cross_bodies, lift, surface_opacity
@@ -78,69 +77,13 @@ def _finish(materials: Materials, film: Film, trace: Trace, pixel: wp.int32, mat
 
 
 @wp.func
-def _shade_direction(
-    geometry: Geometry, lights: Lights, materials: Materials, film: Film, trace: Trace,
-    pixel: wp.int32, point: Point, r: Reflection, sample: TreeSample, clear: wp.float32,
-    length: wp.float32,
-) -> wp.float32:  # fmt: skip
-    """Correct the diffuse rows for one direction of light; return the Y added.
-
-    Args:
-        geometry: The scene.
-        lights: The channels.
-        materials: The surfaces.
-        film: The tile.
-        trace: The pass.
-        pixel: Pixel of the tile.
-        point: What is lit.
-        r: Its reflection.
-        sample: The direction.
-        clear: What other bodies let pass [1].
-        length: Way inside the own body [m].
-    """
-    m = point.material
-    is_skin = materials.kind[m] == 1
-    rank = materials.passage_rank[m]
-    wrap = lights.wrap[materials.wrap_set[m]]
-    x = wp.dot(point.normal, sample.direction)
-    k1 = wp.max(x, 0.0)
-    k2 = float(0.0)
-    if is_skin:
-        k2 = wp.max((x + wrap) / (1.0 + wrap), 0.0)
-    # What the maps have given already: all of it, or all that comes from in front of the skin.
-    given = float(1.0)
-    if rank > 0 and x <= 0.0:
-        given = 0.0
-    crosses = rank > 0 and length > 0.0
-    change = clear - given
-    if crosses:
-        change = -given
-    if change == 0.0 and not crosses:
-        return 0.0
-    entry = float(0.0)
-    if crosses:
-        entry = passage_entry(materials, m, length)
-    groups = lights.group_count
-    bases = materials.weight_count[m]
-    span = bases * groups
-    y = float(0.0)
-    for g in range(groups):
-        light = tree_light(trace.tree, sample, g)
-        for j in range(bases):
-            row = j * groups + g
-            value = (r.diffuse * base_weight(r.low, r.high, j)) * light
-            if change != 0.0:
-                y += deposit(materials, film, pixel, m, row, (change * k1) * value)
-                if is_skin:
-                    y += deposit(materials, film, pixel, m, span + row, (change * k2) * value)
-            if crosses:
-                for k in range(rank):
-                    through = (clear * passage_weight(materials, m, entry, k)) * value
-                    at = (2 + k) * span + row
-                    y += deposit(materials, film, pixel, m, at, k2 * through)
-                    at = (2 + rank + k) * span + row
-                    y += deposit(materials, film, pixel, m, at, k1 * through)
-    return y
+def _draw(trace: Trace, key: wp.uint32, index: wp.int32, first: wp.int32) -> wp.vec3f:
+    """Return three coordinates of a sample's point."""
+    return wp.vec3f(
+        low_discrepancy(trace.sobol, key, index, first),
+        low_discrepancy(trace.sobol, key, index, first + 1),
+        low_discrepancy(trace.sobol, key, index, first + 2),
+    )
 
 
 @wp.func
@@ -157,51 +100,47 @@ def _shade_point(
     if is_skin:
         base = shade_skin(geometry, lights, materials, film, pixel, point, r, 0.0)
         own = point.prim
-        mix = 0.4
+        mix = SKIN_MIX
     else:
         base = shade_preview_surface(lights, materials, film, pixel, point, r)
     glossy = r.shine > 0.0 or r.coat > 0.0
-    limit = materials.passage_limit[m]
     wrap = lights.wrap[materials.wrap_set[m]]
+    weakened = float(0.0)
     y = float(0.0)
-    shine = float(0.0)
-    u = wp.vec3f(
-        low_discrepancy(trace.sobol, key, index, LIGHT_DIMENSION),
-        low_discrepancy(trace.sobol, key, index, LIGHT_DIMENSION + 1),
-        low_discrepancy(trace.sobol, key, index, LIGHT_DIMENSION + 2),
-    )
+    u = _draw(trace, key, index, LIGHT_DIMENSION)
     sample = sample_tree(trace.tree, point.normal, wrap, mix, u)
-    lobes = wp.vec3f(0.0, 0.0, 0.0)
-    if sample.scale > 0.0 and glossy:
-        lobes = lobes_towards(materials, point, r, sample.direction)
-    if sample.scale > 0.0 and (r.diffuse > 0.0 or lobes[0] + lobes[1] > 0.0):
-        crossing = cross_bodies(geometry, materials, lift(point), sample.direction, FAR, own, limit)
-        y += _shade_direction(
-            geometry, lights, materials, film, trace, pixel, point, r, sample,
-            crossing.clear, crossing.length,
-        )  # fmt: skip
-        if lobes[0] + lobes[1] > 0.0 and crossing.clear > 0.0 and crossing.length <= 0.0:
-            share = crossing.clear
-            if sample.dome >= 0:
-                share = share * sample.density / (sample.density + lobes[2])
+    if sample.scale > 0.0:
+        number = light_number(trace.tree, sample)
+        lobes = wp.vec3f(0.0, 0.0, 0.0)
+        if glossy:
+            lobes = lobes_towards(materials, point, r, sample.direction)
+        reached = reaches(lights.links, point.prim, number)
+        if reached and (r.diffuse > 0.0 or lobes[0] + lobes[1] > 0.0):
+            crossing = cross_bodies(
+                geometry, materials, lift(point), sample.direction, FAR, own,
+                materials.passage_limit[m], lights.links, number,
+            )  # fmt: skip
+            share = beam_share(lights, materials, point, sample.direction, crossing, 1.0)
+            seen = float(0.0)
+            if crossing.length <= 0.0:
+                seen = crossing.clear
+                if sample.dome >= 0:
+                    seen = seen * sample.density / (sample.density + lobes[2])
             for g in range(lights.group_count):
-                light = share * tree_light(trace.tree, sample, g)
-                shine += deposit_gloss(lights, materials, film, pixel, m, r, g, light, lobes)
+                light = tree_light(trace.tree, sample, g)
+                weakened += shade_beam(lights, materials, film, pixel, point, r, g, light, share)
+                if lobes[0] + lobes[1] > 0.0 and seen > 0.0:
+                    y += deposit_gloss(lights, materials, film, pixel, m, r, g, seen * light, lobes)
+    for k in range(trace.local.count):
+        y += shade_local_light(
+            geometry, lights, materials, film, trace, pixel, key, index, point, r, own, k
+        )
     if glossy:
-        u = wp.vec3f(
-            low_discrepancy(trace.sobol, key, index, GLOSS_DIMENSION),
-            low_discrepancy(trace.sobol, key, index, GLOSS_DIMENSION + 1),
-            low_discrepancy(trace.sobol, key, index, GLOSS_DIMENSION + 2),
-        )
-        if limit > 0.0:
-            own = -1  # a body that dims the diffuse light blocks its reflections
-        shine += shine_towards_domes(
-            geometry, lights, materials, film, trace, pixel, point, r, own, mix, u
-        )
-    indirect = float(0.0)
+        u = _draw(trace, key, index, GLOSS_DIMENSION)
+        y += shine(geometry, lights, materials, film, trace, pixel, point, r, own, mix, u)
     if materials.sent_count > 0 and r.diffuse > 0.0:
-        indirect = bounce(geometry, lights, materials, film, trace, pixel, key, index, point, r)
-    return wp.vec3f(base + y + shine + indirect, base, y)
+        y += bounce(geometry, lights, materials, film, trace, pixel, key, index, point, r)
+    return wp.vec3f(base + weakened + y, base, weakened)
 
 
 @wp.kernel(enable_backward=False)

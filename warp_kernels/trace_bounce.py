@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from usdskin.warp_kernels.film import Ray, surface_point
-from usdskin.warp_kernels.light_tree import sample_tree, tree_light
+from usdskin.warp_kernels.light_tree import light_number, sample_tree, tree_light
 from usdskin.warp_kernels.lookup import latlong_coordinates
 from usdskin.warp_kernels.sampling import TWO_PI, around, hash_pair, low_discrepancy
 from usdskin.warp_kernels.skin import (
@@ -13,13 +13,20 @@ from usdskin.warp_kernels.skin import (
     Reflection,
     base_weight,
     deposit,
-    diffuse_light,
+    light_of,
+    linked,
     read_input,
     reflect_preview_surface,
     reflect_skin,
 )
 from usdskin.warp_kernels.structs import INPUT_EMISSION, Film, Geometry, Lights, Materials
-from usdskin.warp_kernels.trace_structs import BOUNCE_DIMENSION, FAR, LIGHT_DIMENSION, Trace
+from usdskin.warp_kernels.trace_structs import (
+    BOUNCE_DIMENSION,
+    FAR,
+    LIGHT_DIMENSION,
+    SKIN_MIX,
+    Trace,
+)
 from usdskin.warp_kernels.visibility import cross_bodies, lift, surface_opacity
 
 wp.set_module_options({"enable_backward": False})
@@ -48,7 +55,8 @@ def bounce(
     if wp.dot(toward, point.geometric) <= 0.0:
         return 0.0
     ray = Ray()
-    ray.origin = lift(point)
+    lifted = lift(point)
+    ray.origin = wp.vec3f(lifted[0], lifted[1], lifted[2])
     ray.direction = toward
     ray.spread = 0.1
     hit = wp.mesh_query_ray(geometry.mesh, ray.origin, toward, FAR)
@@ -65,7 +73,7 @@ def bounce(
         back = reflect_skin(geometry, lights, materials, other, 1.0)
         passes = 2
         own = other.prim
-        mix = 0.4
+        mix = SKIN_MIX
     else:
         back = reflect_preview_surface(geometry, lights, materials, other, 1.0, opacity)
     density = (x + wrap) / (3.14159265 * (1.0 + 2.0 * wrap))
@@ -87,7 +95,7 @@ def bounce(
         cosine = wp.dot(other.normal, sample.direction)
         crossing = cross_bodies(
             geometry, materials, lift(other), sample.direction, FAR, own,
-            materials.passage_limit[h],
+            materials.passage_limit[h], lights.links, light_number(trace.tree, sample),
         )  # fmt: skip
         lost = 1.0 - crossing.clear
         if crossing.length > 0.0:
@@ -98,13 +106,13 @@ def bounce(
     groups = lights.group_count
     y = float(0.0)
     for g in range(groups):
-        light = diffuse_light(lights, materials.wrap_set[h], kernels, g, other.normal, coordinates)
+        light = light_of(lights, materials.wrap_set[h], kernels, g, other, coordinates)
         j1 = light.lambert
         j2 = light.wrap
         if rank > 0:
             j2 = (j1 + other_wrap * light.front) / (1.0 + other_wrap)
         if lost > 0.0:
-            missing = lost * tree_light(trace.tree, sample, g)
+            missing = lost * linked(lights, other.prim, g, tree_light(trace.tree, sample, g))
             j1 = j1 - wp.max(cosine, 0.0) * missing
             if rank == 0 or cosine > 0.0:
                 j2 = j2 - wp.max((cosine + other_wrap) / (1.0 + other_wrap), 0.0) * missing

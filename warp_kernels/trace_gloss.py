@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import warp as wp
 
+from usdskin.warp_kernels.light_links import reaches
 from usdskin.warp_kernels.light_tree import dome_texel_towards, tree_density
+from usdskin.warp_kernels.local_lights import intersect_local_light, local_light_pdf
 from usdskin.warp_kernels.sampling import TWO_PI, around
 from usdskin.warp_kernels.skin import Point, Reflection, deposit, first_glossy_row, ggx
 from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
@@ -101,28 +103,48 @@ def deposit_gloss(
 
 
 @wp.func
-def shine_towards_domes(
+def shine(
     geometry: Geometry, lights: Lights, materials: Materials, film: Film, trace: Trace,
     pixel: wp.int32, point: Point, r: Reflection, own: wp.int32, mix: wp.float32, u: wp.vec3f,
 ) -> wp.float32:  # fmt: skip
-    """Follow one reflected ray to the domes, weighed against the light tree's samples."""
+    """Follow one reflected ray to the lights, weighed against their own samples; return its Y."""
     toward = _sample_lobe(point, r, u)
     lobes = lobes_towards(materials, point, r, toward)
     if lobes[2] <= 0.0:
         return 0.0
-    crossing = cross_bodies(geometry, materials, lift(point), toward, FAR, own, 0.0)
-    if crossing.clear <= 0.0:
-        return 0.0
     m = point.material
-    wrap = lights.wrap[materials.wrap_set[m]]
+    if materials.passage_limit[m] > 0.0:
+        own = -1  # a body that dims the diffuse light blocks its reflections
     y = float(0.0)
-    for dome in range(trace.tree.dome_size.shape[0]):
-        texel = dome_texel_towards(trace.tree, dome, toward)
-        other = tree_density(trace.tree, dome, texel, point.normal, wrap, mix)
-        size = trace.tree.dome_size[dome]
-        first = trace.tree.dome_first[dome]
-        for g in range(first[3]):
-            light = trace.tree.dome_texel[first[0] + g * size[0] * size[1] + texel]
-            light = (crossing.clear / (lobes[2] + other)) * light
-            y += deposit_gloss(lights, materials, film, pixel, m, r, first[2] + g, light, lobes)
+    domes = trace.tree.dome_size.shape[0]
+    wrap = lights.wrap[materials.wrap_set[m]]
+    for dome in range(domes):
+        if reaches(lights.links, point.prim, dome):
+            crossing = cross_bodies(
+                geometry, materials, lift(point), toward, FAR, own, 0.0, lights.links, dome
+            )
+            if crossing.clear > 0.0:
+                texel = dome_texel_towards(trace.tree, dome, toward)
+                other = tree_density(trace.tree, dome, texel, point.normal, wrap, mix)
+                size = trace.tree.dome_size[dome]
+                first = trace.tree.dome_first[dome]
+                for g in range(first[3]):
+                    light = trace.tree.dome_texel[first[0] + g * size[0] * size[1] + texel]
+                    light = (crossing.clear / (lobes[2] + other)) * light
+                    y += deposit_gloss(
+                        lights, materials, film, pixel, m, r, first[2] + g, light, lobes
+                    )
+    for k in range(trace.local.count):
+        number = trace.first_local + k
+        if reaches(lights.links, point.prim, number):
+            hit = intersect_local_light(trace.local, k, point.position, toward)
+            if hit.distance > 0.0:
+                crossing = cross_bodies(
+                    geometry, materials, lift(point), toward, 0.99999 * hit.distance, own, 0.0,
+                    lights.links, number,
+                )  # fmt: skip
+                other = local_light_pdf(trace.local, k, point.position, toward)
+                light = (crossing.clear / (lobes[2] + other)) * hit.radiance
+                group = trace.local.channel[k][0]
+                y += deposit_gloss(lights, materials, film, pixel, m, r, group, light, lobes)
     return y

@@ -5,9 +5,13 @@ from __future__ import annotations
 import warp as wp
 
 from usdskin.warp_kernels.light_tree import LightTree
+from usdskin.warp_kernels.local_lights import LocalLights
 
 FAR = wp.constant(1.0e18)
 """Distance of domes and distant lights [m]."""
+
+SKIN_MIX = wp.constant(0.4)
+"""Weight of the wrap term beside Lambert's when directions for skin are chosen."""
 
 # Dimensions of a sample's low-discrepancy point.
 LENS_DIMENSION = wp.constant(0)
@@ -21,6 +25,12 @@ class Trace:
     """What a pass of samples adds to a tile."""
 
     tree: LightTree
+
+    local: LocalLights
+    """Lights that have a place."""
+
+    first_local: wp.int32
+    """Number of the first of them as ``LightLinks`` numbers lights."""
 
     sobol: wp.array2d[wp.uint32]
     """Direction numbers (``direction_numbers``)."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from usdskin.warp_kernels.light_links import LightLinks, shades
 from usdskin.warp_kernels.skin import Point, read_input
 from usdskin.warp_kernels.structs import INPUT_OPACITY, Geometry, Materials
 
@@ -59,25 +60,27 @@ def _opacity_at(
 
 
 @wp.func
-def lift(point: Point) -> wp.vec3f:
-    """Return a point just off its surface, on the viewer's side.
+def lift(point: Point) -> wp.vec4f:
+    """Return a point just off its surface, on the viewer's side, and by how much [m].
 
-    The gap follows the size of the coordinates, whose rounding it has to exceed.
+    The gap follows the size of the triangle's coordinates, whose rounding it has to exceed.
     """
-    p = point.position
-    size = wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.abs(p[2]))
-    return p + (4.0e-6 * wp.max(size, 1.0e-3)) * point.geometric
+    gap = 4.0e-6 * wp.max(point.size, 1.0e-3)
+    p = point.position + gap * point.geometric
+    return wp.vec4f(p[0], p[1], p[2], gap)
 
 
 @wp.func
 def cross_bodies(
     geometry: Geometry,
     materials: Materials,
-    origin: wp.vec3f,
+    start_at: wp.vec4f,
     direction: wp.vec3f,
     distance: wp.float32,
     own: wp.int32,
     limit: wp.float32,
+    links: LightLinks,
+    light: wp.int32,
 ) -> Crossing:
     """Follow light backwards from a point to its source.
 
@@ -88,17 +91,19 @@ def cross_bodies(
     Args:
         geometry: The scene.
         materials: Whose opacities block.
-        origin: A lifted point [m].
+        start_at: A lifted point and its gap [m] (``lift``).
         direction: Unit vector towards the light.
         distance: How far the light is [m].
         own: Prim whose skin weakens instead of blocking, -1 where there is none.
         limit: Length inside the own body beyond which nothing is left [m]; 0 where the body is
             perfectly clear.
+        links: Whose shadows lights see.
+        light: Number of the light, -1 for anything that is not a light.
     """
     result = Crossing()
     result.clear = 1.0
-    size = wp.max(wp.max(wp.abs(origin[0]), wp.abs(origin[1])), wp.abs(origin[2]))
-    gap = 4.0e-6 * wp.max(size, 1.0e-3)
+    origin = wp.vec3f(start_at[0], start_at[1], start_at[2])
+    gap = start_at[3]
     start = float(0.0)
     entered = float(-1.0)
     last = int(-1)
@@ -136,7 +141,7 @@ def cross_bodies(
                         if result.length >= limit:
                             result.clear = 0.0
                             return result
-            else:
+            elif light < 0 or shades(links, geometry.prim[hit.face], light):
                 opacity = _opacity_at(geometry, materials, hit.face, hit.u, hit.v)
                 result.clear = result.clear * (1.0 - opacity)
                 if result.clear < LEAST_CLEAR:

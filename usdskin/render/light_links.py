@@ -13,8 +13,11 @@ import warp as wp
 from numpy.typing import NDArray
 from pxr import Usd
 
+from usdskin.render.environment import group_count
 from usdskin.render.light_collections import casts_shadows, is_linked
+from usdskin.render.lights import Lights
 from usdskin.warp_kernels import light_links as kernels
+from usdskin.warp_kernels import structs
 
 BoolArray = NDArray[np.bool_]
 
@@ -80,3 +83,33 @@ def upload_links(tables: LinkTables, device: str) -> kernels.LightLinks:
     links.lit = wp.array(lit, dtype=wp.uint8, ndim=2, device=device)
     links.shadows = wp.array(shadows, dtype=wp.uint8, ndim=2, device=device)
     return links
+
+
+def link_lights(
+    field: structs.Lights, lights: Lights, tables: LinkTables | None, device: str
+) -> None:
+    """Hand the links to the kernels: whom each light, and each channel of light, reaches.
+
+    Args:
+        field: Where they go.
+        lights: The lights, whose channels are those of ``field``.
+        tables: Their links; None where every light reaches everything.
+        device: Where to.
+    """
+    if tables is None or not tables.active:
+        none = np.zeros((0, 0), np.bool_)
+        field.links = upload_links(LinkTables(np.zeros(0, np.int32), none, none), device)
+        field.link_mask = wp.zeros((0, 0), dtype=wp.vec4f, device=device)
+        return
+    field.links = upload_links(tables, device)
+    groups = int(field.group_count)
+    mask = np.ones((len(tables.lit), groups * 4), np.float32)
+    used = 0
+    for k, dome in enumerate(lights.domes):
+        count = 4 * group_count(dome.coefficients.shape[2])
+        mask[:, used : used + count] = tables.lit[:, k : k + 1]
+        used += count
+    first = len(lights.domes)
+    count = len(lights.distants)
+    mask[:, used : used + count] = tables.lit[:, first : first + count]
+    field.link_mask = wp.array(mask.reshape(-1, groups, 4), dtype=wp.vec4f, device=device)

@@ -24,9 +24,13 @@ from usdskin.render.environment import (
     texel_patches,
 )
 from usdskin.render.lights import DistantLight, DomeLight, Lights
+from usdskin.render.local_light_arrays import LocalField
 from usdskin.render.surface_rows import SpectralFrame
 from usdskin.render.zonal_maps import bake_maps, tangents
 from usdskin.warp_kernels import structs
+
+_WIDEST_CELL = np.radians(6.0)
+"""Half angle of a disc that is one square, and of the cells of a wider one [rad]."""
 
 _DISC_TO_SQUARE = 0.5 * np.sqrt(3.0)
 """Half side of the square with a disc's second moment, per unit of its radius."""
@@ -51,6 +55,8 @@ class LightField:
     """Measured interpolation error of each dome's maps, relative to the peak."""
 
     lamp_count: int
+    local: LocalField | None = None
+    """Lights that have a place, where light is traced."""
 
 
 @dataclass(slots=True, eq=False)
@@ -64,12 +70,19 @@ class _Lamps:
     """How many of them, the first ones, are reflected by themselves."""
 
 
+def far_groups(lights: Lights) -> int:
+    """Return how many channel groups domes and distant lights take."""
+    domes = sum(group_count(dome.coefficients.shape[2]) for dome in lights.domes)
+    return domes + group_count(len(lights.distants))
+
+
 def build_light_field(
     lights: Lights,
     wraps: tuple[float, ...],
     workers: Workers,
     wavelength_count: int,
     split: bool = False,
+    local: LocalField | None = None,
 ) -> LightField:
     """Integrate the stage's lights over both kernels.
 
@@ -79,6 +92,7 @@ def build_light_field(
         workers: Where to compute.
         wavelength_count: Bands of the lights' spectra.
         split: Whether light from before and from behind is told apart (materials with opacity).
+        local: Lights that have a place, which no map holds; their channels come last.
 
     Returns:
         The field; ``device_lights`` has no reflections and no visible dome yet.
@@ -86,7 +100,8 @@ def build_light_field(
     device = workers.device
     groups = [group_count(dome.coefficients.shape[2]) for dome in lights.domes]
     distant_groups = group_count(len(lights.distants))
-    total = max(1, sum(groups) + distant_groups)
+    extra = np.zeros((0, 4, wavelength_count)) if local is None else local.basis
+    total = max(1, sum(groups) + distant_groups + len(extra))
     basis = np.zeros((total, 4, wavelength_count))
     offsets = np.full((len(wraps), 3, total), -1, np.int32)
     rows = np.zeros(total, np.int32)
@@ -112,7 +127,10 @@ def build_light_field(
             errors.append(error)
         lamps += _dome_lamps(environment, count)
         begin += count
-    lamps += _distant_lamps(lights.distants, basis[begin:])
+    lamps += _distant_lamps(lights.distants, basis[begin : begin + distant_groups])
+    begin += distant_groups
+    basis[begin : begin + len(extra)] = extra
+    lamps += [_no_lamps() for _ in range(total - begin)]
     field = structs.Lights()
     field.group_count = total
     flat = np.concatenate(values) if values else np.zeros((0, 4), np.float32)
@@ -121,7 +139,7 @@ def build_light_field(
     field.map_rows = wp.array(rows, dtype=wp.int32, device=device)
     field.wrap = wp.array(np.array(wraps, np.float32), dtype=wp.float32, device=device)
     lamp_count = _upload_lamps(field, lamps, device)
-    return LightField(field, basis, tuple(blocks), tuple(sizes), tuple(errors), lamp_count)
+    return LightField(field, basis, tuple(blocks), tuple(sizes), tuple(errors), lamp_count, local)
 
 
 def build_brute_field(
@@ -162,7 +180,7 @@ def build_brute_field(
                 np.concatenate([part.half_elevation for part in patches]),
                 np.concatenate([part.flux[g : g + 1] for part in patches], axis=1),
             ),
-            len(lights.distants),
+            len(patches[0].center),
         )
         for g in range(groups)
     ]
@@ -220,32 +238,69 @@ def _distant_lamps(distants: tuple[DistantLight, ...], basis: NDArray[np.float64
     """Return the distant lights of each group of four, and fill their groups' spectra."""
     for k, distant in enumerate(distants):
         basis[k // 4, k % 4] = distant.irradiance
-    found = _distant_patches(distants, np.tile(np.eye(4), (len(basis), 1))[: len(distants)])
-    parts = [slice(k, k + 4) for k in range(0, len(distants), 4)]
-    return [
-        _Lamps(
-            Patches(found.center[part], found.half_azimuth[part], found.half_elevation[part],
-                    found.flux[:, part]),
-            4,
-        )
-        for part in parts
-    ]  # fmt: skip
+    found = []
+    for k in range(0, len(distants), 4):
+        some = distants[k : k + 4]
+        patches = _distant_patches(some, np.eye(4)[: len(some)])
+        found.append(_Lamps(patches, len(patches.center)))
+    return found
+
+
+def _no_lamps() -> _Lamps:
+    none = np.zeros((0, 3), np.float32)
+    return _Lamps(Patches(none, none, none, np.zeros((1, 0, 4), np.float32)), 0)
 
 
 def _distant_patches(distants: tuple[DistantLight, ...], channels: NDArray[np.float64]) -> Patches:
-    """Return the discs of distant lights as squares with the same second moment.
+    """Return distant lights as squares with their discs' second moments, wide ones in cells.
 
     Args:
         distants: The lights.
         channels: Irradiance of each in the light's channels, shape [count, channel_count].
     """
-    direction, azimuth, elevation = (np.zeros((len(distants), 3), np.float32) for _ in range(3))
-    for k, distant in enumerate(distants):
-        axis = distant.direction / np.linalg.norm(distant.direction)
-        first, second = tangents(axis)
-        half = _DISC_TO_SQUARE * np.radians(distant.angle_deg) / 2.0
-        direction[k], azimuth[k], elevation[k] = axis, half * first, half * second
-    return Patches(direction, azimuth, elevation, pad_groups(channels))
+    parts = [_disc_cells(distant) for distant in distants]
+    owner = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    cells = np.concatenate([np.zeros((0, 10)), *parts])
+    return Patches(
+        cells[:, 0:3].astype(np.float32), cells[:, 3:6].astype(np.float32),
+        cells[:, 6:9].astype(np.float32), pad_groups(channels[owner] * cells[:, 9:10]),
+    )  # fmt: skip
+
+
+def _disc_cells(distant: DistantLight) -> NDArray[np.float64]:
+    """Return the direction, half extents and share of irradiance of a disc's cells, [count, 10].
+
+    Cells of equal solid angle lie in rings around the middle; a narrow disc is one square.
+    """
+    axis = distant.direction / np.linalg.norm(distant.direction)
+    first, second = tangents(axis)
+    reach = np.radians(min(distant.angle_deg, 360.0)) / 2.0
+    rings = int(np.ceil(reach / _WIDEST_CELL)) if reach > _WIDEST_CELL else 0
+    if not rings:
+        half = _DISC_TO_SQUARE * reach
+        return np.concatenate([axis, half * first, half * second, [1.0]])[None]
+    counts = np.array([max(1, 6 * ring) for ring in range(rings)])
+    edge = np.concatenate([[0.0], np.cumsum(counts)]) / counts.sum() * (1.0 - np.cos(reach))
+    inner, outer = np.arccos(1.0 - edge[:-1]), np.arccos(np.clip(1.0 - edge[1:], -1.0, 1.0))
+    cells = []
+    for ring, count in enumerate(counts):
+        polar = np.arccos(1.0 - 0.5 * (edge[ring] + edge[ring + 1])) if ring else 0.0
+        for turn in 2.0 * np.pi * (np.arange(count) + 0.5) / count:
+            across = np.cos(turn) * first + np.sin(turn) * second
+            toward = np.cos(polar) * axis + np.sin(polar) * across
+            if ring:
+                along = np.cross(axis, across) * np.sin(polar) * np.pi / count
+                down = (
+                    (np.cos(polar) * across - np.sin(polar) * axis)
+                    * 0.5
+                    * (outer[ring] - inner[ring])
+                )
+            else:
+                along, down = (_DISC_TO_SQUARE * outer[0] * each for each in (first, second))
+            cells.append(np.concatenate([toward, along, down, [1.0]]))
+    table = np.array(cells)
+    table[:, 9] = 1.0 / np.maximum(table[:, 0:3] @ axis, 0.0).sum()
+    return table
 
 
 def _dome_lamps(environment: Environment, groups: int) -> list[_Lamps]:

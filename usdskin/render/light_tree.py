@@ -91,7 +91,7 @@ def build_light_tree(
         group += count
     if lights.distants:
         parts.append(_distant_leaves(lights.distants, channel_weight[group:].reshape(-1)))
-    leaves = _joined(parts)
+    leaves = _joined(parts) if parts else _no_leaves()
     _fill_nodes(tree, leaves, device)
 
     def ints(values: object, dtype: object = wp.int32) -> wp.array:
@@ -202,6 +202,12 @@ def _distant_leaves(distants: tuple[DistantLight, ...], weight: NDArray[np.float
     )  # fmt: skip
 
 
+def _no_leaves() -> _Leaves:
+    three, four, none = np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0)
+    whole = np.zeros(0, np.int64)
+    return _Leaves(three, none, none, four.astype(np.int64), four, none, whole)
+
+
 def _joined(parts: list[_Leaves]) -> _Leaves:
     names = _Leaves.__slots__  # type: ignore[attr-defined]
     return _Leaves(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
@@ -210,11 +216,11 @@ def _joined(parts: list[_Leaves]) -> _Leaves:
 def _fill_nodes(tree: light_tree.LightTree, leaves: _Leaves, device: str) -> None:
     """Divide the leaves in two of about equal flux, again and again, across their widest axis."""
     count = len(leaves.flux)
-    nodes = 2 * count - 1
+    nodes = max(0, 2 * count - 1)
     center, radius, flux = np.zeros((nodes, 3)), np.zeros(nodes), np.zeros(nodes)
     child, parent = np.zeros(nodes, np.int32), np.full(nodes, -1, np.int32)
     leaf_node = np.zeros(count, np.int32)
-    stack = [(0, np.arange(count))]
+    stack = [(0, np.arange(count))] if count else []
     used = 1
     while stack:
         node, members = stack.pop()

@@ -84,3 +84,24 @@ class LocalLight:
     texture: NDArray[np.float32] | None = None
     """Weights of the three channels over a rectangle, top row at +y, first column at +x, each
     constant over its texel, shape [height, width, 3]."""
+
+
+def facing_irradiance(light: LocalLight, position: FloatArray) -> FloatArray:
+    """Return about what a surface facing a light receives, as if the light were far away.
+
+    Shaping and pictures are left out; it sets exposures, not pixels.
+
+    Args:
+        light: The light.
+        position: Where [m], shape [3].
+
+    Returns:
+        Irradiance [W m^-2 nm^-1, or relative], shape [band_count].
+    """
+    a, b = light.half
+    size = {
+        "rect": 4.0 * a * b, "disk": np.pi * a**2, "sphere": np.pi * a**2, "cylinder": 4.0 * a * b,
+        "point": 1.0, "line": 2.0 * a,
+    }[light.kind]  # fmt: skip
+    away = max(float(((light.center - position) ** 2).sum()), a**2, b**2, 1e-12)
+    return np.asarray(light.radiance.sum(axis=0) * size / away)

@@ -17,15 +17,14 @@ from usdskin.progress import Progress
 from usdskin.render.aovs import TRACED_SOURCES
 from usdskin.render.cameras import read_camera
 from usdskin.render.integrate import DeviceScene, collect_data, integrate
-from usdskin.render.light_maps import LightField, luminances
-from usdskin.render.light_tree import build_light_tree
+from usdskin.render.light_maps import LightField
 from usdskin.render.opening import opened
 from usdskin.render.outputs import Shot, write_picture
 from usdskin.render.overrides import RenderOverrides, apply_overrides
 from usdskin.render.products import Product, prepare_folders
-from usdskin.render.scene import Scene, mean_white, read_scene, upload
+from usdskin.render.scene import Scene, read_scene, scene_white, upload
 from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
-from usdskin.render.traced import Sampling, integrate_traced, sampling_key
+from usdskin.render.traced import Sampling, integrate_traced, sampling_key, trace_lights
 
 # isort: split
 # After ours, which register the schemas.
@@ -151,10 +150,10 @@ def _render_product(
     sources = {aov.source for aov in product.aovs}
     spectral, show_dome = product.spectral is not None, settings.dome == "show"
     if settings.integrator == "traced":
-        white = mean_white(scene.lights, scene.frame)
+        white = scene_white(scene)
         picture = integrate_traced(
             device_scene,
-            build_light_tree(scene.lights, luminances(light, scene.frame), workers.device),
+            trace_lights(scene.lights, light, scene.frame, workers.device),
             camera,
             product.resolution,
             Sampling(
@@ -196,7 +195,7 @@ def _render_product(
         job.digest(product),
         tuple(mesh.path for mesh in scene.meshes),
         scene.lights.absolute,
-        mean_white(scene.lights, scene.frame),
+        scene_white(scene),
     )
     report.paths.extend(
         write_picture(product, files, picture, data, device_scene, camera, settings, shot)

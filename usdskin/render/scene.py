@@ -21,13 +21,17 @@ from usdskin.notes import Note
 from usdskin.render.gloss import LADDER, add_reflections, show_domes
 from usdskin.render.gprims import is_gprim, read_gprim, unsupported_note
 from usdskin.render.integrate import DeviceScene, Faces
+from usdskin.render.light_links import LinkTables, link_lights, read_links
 from usdskin.render.light_maps import (
     LightField,
     banded,
     build_brute_field,
     build_light_field,
+    far_groups,
 )
 from usdskin.render.lights import Lights, check_lit, read_lights
+from usdskin.render.local_light_arrays import build_local_field
+from usdskin.render.local_lights import facing_irradiance
 from usdskin.render.materials import (
     PrimvarInput,
     SkinMaterial,
@@ -61,6 +65,9 @@ class Scene:
     """Index into ``materials`` by path."""
 
     lights: Lights
+    links: LinkTables
+    """Which lights reach which meshes."""
+
     frame: SpectralFrame
 
     @property
@@ -91,6 +98,7 @@ def read_scene(
         settings.illuminant,
         settings.bad_pixels,
         notes,
+        places=settings.integrator == "traced",
     )
     check_lit(stage, lights, notes)
     prims = list(_visible_gprims(stage, time, settings, notes))
@@ -121,7 +129,8 @@ def read_scene(
     frame = SpectralFrame(
         settings.wavelength_nm, settings.observer, lights.absolute, settings.color_space
     )
-    return Scene(tuple(meshes), materials, index, lights, frame)
+    links = read_links(stage, lights.paths, [mesh.path for mesh in meshes], time)
+    return Scene(tuple(meshes), materials, index, lights, links, frame)
 
 
 def _visible_gprims(
@@ -243,10 +252,15 @@ def _bake(scene: Scene, workers: Workers, show_dome: bool, brute: bool, traced: 
     else:
         skins = [m for m in scene.materials if isinstance(m, SkinMaterial)]
         split = any(m.thickness_primvar or (traced and dims(m.parameters)) for m in skins)
-        light = build_light_field(lights, wraps, workers, bands, split)
+        local = None
+        if traced:
+            local = build_local_field(lights.locals, bands, workers.device, far_groups(lights))
+        light = build_light_field(lights, wraps, workers, bands, split, local)
     alphas = () if traced else gloss_alphas(scene.materials, LADDER)
     add_reflections(light.device_lights, lights, light.reflected_blocks, alphas, workers)
     show_domes(light.device_lights, lights, show_dome, workers.device)
+    tables = scene.links if traced else None
+    link_lights(light.device_lights, lights, tables, workers.device)
     return light
 
 
@@ -336,10 +350,26 @@ def _corner_values(
     return result.reshape(-1, 4)
 
 
-def mean_white(lights: Lights, frame: SpectralFrame) -> NDArray[np.float64]:
+def scene_white(scene: Scene) -> NDArray[np.float64]:
     """Return the XYZ of a perfect diffuser, averaged over all its orientations, shape [3].
 
-    It receives a quarter of the total flux over the sphere and reflects 1/pi of that.
+    Lights that have a place are taken as they look from the middle of the geometry.
+    """
+    white = mean_white(scene.lights, scene.frame)
+    if not (scene.lights.locals and scene.meshes):
+        return white
+    low = np.min([mesh.points.min(axis=0) for mesh in scene.meshes], axis=0)
+    high = np.max([mesh.points.max(axis=0) for mesh in scene.meshes], axis=0)
+    received = [facing_irradiance(light, 0.5 * (low + high)) for light in scene.lights.locals]
+    weights = xyz_weights(scene.frame.wavelength_nm, scene.frame.observer, scene.frame.absolute)
+    return np.asarray(white + np.sum(received, axis=0) @ weights / (4.0 * np.pi))
+
+
+def mean_white(lights: Lights, frame: SpectralFrame) -> NDArray[np.float64]:
+    """Return the XYZ of a perfect diffuser in the light from far away, shape [3].
+
+    Averaged over all its orientations it receives a quarter of the total flux over the sphere, and
+    reflects 1/pi of that.
     """
     weights = xyz_weights(frame.wavelength_nm, frame.observer, frame.absolute)
     total = np.zeros(3)

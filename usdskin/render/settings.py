@@ -379,6 +379,8 @@ def _read_settings(
         )
         for name, opinion in _OPINIONS.items()
     }
+    if traced and given.spectral_method == "brute":
+        raise UsageError("--spectral brute is an oracle for maps; use --integrator map with it.")
     return RenderSettings(
         **values,
         prim_path=str(prims[0].GetPath()) if prims else None,

@@ -26,9 +26,21 @@ from usdskin.render.integrate import (
     Picture,
     device_camera,
 )
+from usdskin.render.light_maps import LightField, luminances
+from usdskin.render.light_tree import build_light_tree
+from usdskin.render.lights import Lights
 from usdskin.render.projection import project
+from usdskin.render.surface_rows import SpectralFrame
 from usdskin.render.surfaces import band_groups
-from usdskin.warp_kernels import light_tree, raster, sampling, structs, trace, trace_structs
+from usdskin.warp_kernels import (
+    light_tree,
+    local_lights,
+    raster,
+    sampling,
+    structs,
+    trace,
+    trace_structs,
+)
 
 BLOCK = 4
 """Side of the blocks of pixels that are sampled alike [px]."""
@@ -67,6 +79,38 @@ class _Pass:
     """Their positions [px], on the device."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TracedLights:
+    """What rays are sent to."""
+
+    tree: light_tree.LightTree
+    """Domes and distant lights."""
+
+    local: local_lights.LocalLights
+    """Lights that have a place."""
+
+    first_local: int
+    """Number of the first of them in the light links."""
+
+
+def trace_lights(
+    lights: Lights, field: LightField, frame: SpectralFrame, device: str
+) -> TracedLights:
+    """Prepare the lights of a scene for tracing.
+
+    Args:
+        lights: The lights.
+        field: Their channels, local lights included.
+        frame: Weighs the channels by how bright they look.
+        device: Where to.
+    """
+    if field.local is None:
+        raise ValueError("the light field was built without its local lights")
+    tree = build_light_tree(lights, luminances(field, frame), device)
+    first = len(lights.domes) + len(lights.distants)
+    return TracedLights(tree, field.local.device_lights, first)
+
+
 def sampling_key(seed: int, frame: float | None) -> int:
     """Return the key of a picture's random numbers, 32 bits that differ for every frame."""
     label = f"{seed}" if frame is None else f"{seed}/{frame:.6f}"
@@ -75,7 +119,7 @@ def sampling_key(seed: int, frame: float | None) -> int:
 
 def integrate_traced(
     scene: DeviceScene,
-    tree: light_tree.LightTree,
+    lights: TracedLights,
     camera: Camera,
     resolution: tuple[int, int],
     settings: Sampling,
@@ -90,7 +134,7 @@ def integrate_traced(
 
     Args:
         scene: The scene on the workers' device.
-        tree: Its light.
+        lights: What its rays go to.
         camera: Where from.
         resolution: Width and height [px].
         settings: How to sample.
@@ -126,7 +170,7 @@ def integrate_traced(
     trace.load(device)
 
     def work(begin: int, end: int) -> None:
-        tile = _Tile(scene, rays, tree, sobol, settings, begin, end, bands, parts, device)
+        tile = _Tile(scene, rays, lights, sobol, settings, begin, end, bands, parts, device)
         tile.film.show_dome = int(show_dome)
         active = np.arange(end - begin, dtype=np.int32)
         for number, each in enumerate(passes):
@@ -188,7 +232,7 @@ class _Tile:
         self,
         scene: DeviceScene,
         rays: structs.CameraRays,
-        tree: light_tree.LightTree,
+        lights: TracedLights,
         sobol: Any,
         settings: Sampling,
         begin: int,
@@ -208,7 +252,9 @@ class _Tile:
         film.spectrum = wp.zeros((count, bands), dtype=wp.vec4f, device=device)
         self.film = film
         self._trace = trace_structs.Trace()
-        self._trace.tree = tree
+        self._trace.tree = lights.tree
+        self._trace.local = lights.local
+        self._trace.first_local = lights.first_local
         self._trace.sobol = sobol
         self._trace.key = settings.key
         shape = (count, len(PARTS)) if parts else (0, 0)
