@@ -190,6 +190,7 @@ def banded(lights: Lights) -> Lights:
             for dome in lights.domes
         ),
         lights.distants,
+        lights.locals,
     )
 
 
