@@ -10,7 +10,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
 import usdskin.cli as cli
 from usdskin.colorimetry import daylight, illuminant
-from usdskin.errors import ImageError, LayerError
+from usdskin.errors import ImageError, LayerError, UsdSkinError
 from usdskin.prims import write_spectrum
 from usdskin.spectrum import SpectralQuantity, Spectrum
 
@@ -353,6 +353,40 @@ def test_a_colored_tint_gives_three_channels_that_add_up_to_the_light():
         stage = metres()
         spectral(lamp(stage, "sphere"), source)
         assert found.radiance.sum(axis=0) == pytest.approx(one(stage).radiance[0], rel=1e-6)
+
+
+LAMP = "IESNA:LM-63-2002\nTILT=NONE\n1 1 2 3 1 1 2 0 0 0\n1 1 9\n0 45 90\n0\n8 4 0\n"
+
+
+def test_profiles_are_read_from_the_file_that_is_named(tmp_path):
+    (tmp_path / "lamp.ies").write_text(LAMP)
+    for normalize, power in ((False, 1.0), (True, None)):
+        stage = metres()
+        shaped(
+            stage,
+            "sphere",
+            ies_file=Sdf.AssetPath(str(tmp_path / "lamp.ies")),
+            ies_normalize=normalize,
+            ies_angleScale=0.5,
+        )
+        found = one(stage).shaping
+        assert found.angle_scale == 0.5
+        if power is None:
+            assert found.profile.mean() == pytest.approx(1.0)
+        else:
+            assert found.profile.intensity[:, 0].tolist() == [16, 8, 0]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [(LAMP.replace("8 4 0", "8 4"), r"lamp\.ies:8"), (None, "not there")]
+)
+def test_a_profile_that_cannot_be_used_names_light_and_line(tmp_path, text, said):
+    if text is not None:
+        (tmp_path / "lamp.ies").write_text(text)
+    stage = metres()
+    shaped(stage, "sphere", ies_file=Sdf.AssetPath(str(tmp_path / "lamp.ies")))
+    with pytest.raises(UsdSkinError, match=rf"/Lamp.*{said}"):
+        one(stage)
 
 
 def test_shaping_inputs_without_the_schema_are_noted():

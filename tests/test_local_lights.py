@@ -367,6 +367,36 @@ def test_irradiance_of_a_picture_is_that_of_its_texels():
     assert irradiance(one, position, (0, 0, 1)) == pytest.approx(expected, rel=2e-3)
 
 
+@pytest.mark.parametrize("shape", [(2, 2), (8, 5), (90, 50)])
+@pytest.mark.parametrize("position", [(0.1, -0.2, -0.9), (0.3, 0.25, -0.1), (1.1, 0.4, -0.3)])
+def test_directions_drawn_by_a_picture_keep_their_density(shape, position):
+    picture = np.random.default_rng(3).random((*shape, 3)).astype(np.float32) ** 8
+    one = light("rect", channels=3, texture=picture)
+    direction, omega = patches("rect", SHAPES["rect"], position)
+    _, density, value = look(one, position, direction)
+    assert float((density * omega).sum()) == pytest.approx(1.0, rel=5e-3)
+    drawn = draw(one, position)
+    expected = (value[:, :3] * (direction[:, 2] * omega)[:, None]).sum(axis=0)
+    found = (drawn.radiance * (drawn.weight * drawn.direction[:, 2])[:, None]).mean(axis=0)
+    assert found[:3] == pytest.approx(expected, rel=4e-2)  # of 4500 random texels
+    met = drawn.distance_again >= 0.0
+    # Points on an edge between cells may be met beyond it.
+    same = np.abs(drawn.pdf_again[met] * drawn.weight[met] - 1.0) < 1e-3
+    assert same.mean() > 0.995
+
+
+def test_a_bright_spot_of_a_picture_is_found():
+    """One texel of 64 is all the light: without the picture the spread would be eight times."""
+    picture = np.zeros((8, 8, 3), np.float32)
+    picture[2, 5] = 1.0
+    term = {}
+    for name, texture in (("spot", picture), ("even", np.ones_like(picture))):
+        drawn = draw(light("rect", channels=3, texture=texture), (0.3, 0.2, -1.5))
+        value = drawn.radiance[:, 0] * drawn.weight * drawn.direction[:, 2]
+        term[name] = value.std() / value.mean()
+    assert term["even"] < 0.2 and term["spot"] < 1.0
+
+
 # --- Channels ----------------------------------------------------------------------------------
 
 

@@ -437,3 +437,33 @@ def test_malformed_stages_are_validated_without_a_crash(realdata: Path) -> None:
     )
     assert done.returncode == 0, f"{done.stdout.splitlines()[-2:]}: {done.stderr}"
     assert done.stdout.count("found") + done.stdout.count("refused") == len(files)
+
+
+def test_a_light_that_cannot_have_its_place_is_found(shot: Shot) -> None:
+    lamp = UsdLux.DiskLight.Define(shot.stage, "/World/Lamp")
+    lamp.CreateExtentAttr([(-0.5, -0.5, 0), (0.5, 0.5, 0)])
+    assert shot.codes() == []
+    lamp.AddScaleOp().Set(Gf.Vec3f(1.0, 2.0, 1.0))
+    (found,) = shot.findings()
+    assert (found.severity, found.path) == ("error", "/World/Lamp")
+    assert "unevenly" in found.message
+
+
+def test_a_light_without_power_is_found(shot: Shot) -> None:
+    bulb = UsdLux.SphereLight.Define(shot.stage, "/World/Bulb")
+    bulb.CreateExtentAttr([(0, 0, 0), (0, 0, 0)])
+    bulb.CreateRadiusAttr(0.0)
+    assert shot.codes() == [("warning", "light-without-area", "/World/Bulb")]
+    bulb.CreateNormalizeAttr(True)
+    assert shot.codes() == []
+
+
+def test_a_lost_or_broken_profile_is_found(shot: Shot) -> None:
+    bulb = UsdLux.SphereLight.Define(shot.stage, "/World/Bulb")
+    bulb.CreateExtentAttr([(-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)])
+    UsdLux.ShapingAPI.Apply(bulb.GetPrim()).CreateShapingIesFileAttr("./lamp.ies")
+    (found,) = shot.findings()
+    assert found.severity == "error" and "lamp.ies" in found.message
+    (shot.folder / "lamp.ies").write_text("IESNA:LM-63-2002\nTILT=NONE\n1 1 1 2 x\n")
+    (found,) = shot.findings()
+    assert found.severity == "error" and "lamp.ies:3" in found.message

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
-from usdskin.errors import UsdSkinError
+from usdskin.errors import ImageError, UsdSkinError
 from usdskin.findings import Finding, finding
 from usdskin.prims import SkinParameters, SpectralLight, read_skin, read_spectral_light
 from usdskin.render.materials import THICKNESS_PRIMVAR
@@ -87,15 +87,34 @@ def _check_light(prim: Usd.Prim) -> Iterator[Finding]:
     if not prim.HasAPI(UsdLux.LightAPI):
         return
     light = read_spectral_light(prim, _FIRST)
-    if light is None or light.source == "rgb":
-        if light is not None:
-            yield from _check_illuminant(prim, light)
+    if light is not None and light.source == "rgb":
+        yield from _check_illuminant(prim, light)
+    elif light is not None:
+        yield from _check_rendition(prim, light)
+        if light.source == "basis":
+            yield from _check_coefficients(prim, light)
+        elif light.source == "bands":
+            yield from _check_bands(prim, light)
+    yield from _check_place(prim)
+
+
+def _check_place(prim: Usd.Prim) -> Iterator[Finding]:
+    """Check the size, transform and shaping of a light that has a place."""
+    from usdskin.render.light_inputs import Context, read_light_prim
+    from usdskin.render.local_light_prims import is_local, read_local
+
+    if not is_local(prim):
         return
-    yield from _check_rendition(prim, light)
-    if light.source == "basis":
-        yield from _check_coefficients(prim, light)
-    elif light.source == "bands":
-        yield from _check_bands(prim, light)
+    context = Context(DEFAULT_WAVELENGTHS_NM, _FIRST, places=True)
+    to_world = np.array(UsdGeom.XformCache(_FIRST).GetLocalToWorldTransform(prim)).T
+    meters = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
+    try:
+        read_local(read_light_prim(prim, context), to_world, meters, context)
+    except ImageError:
+        return  # as any picture, it is found by the check of files
+    for note in context.notes:
+        if note.code == "light-without-area":
+            yield finding("warning", prim, note.code, note.message)
 
 
 def _check_rendition(prim: Usd.Prim, light: SpectralLight) -> Iterator[Finding]:

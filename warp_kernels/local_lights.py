@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import warp as wp
 
+from usdskin.warp_kernels.light_pictures import Guides, guided_weight, sample_guided
 from usdskin.warp_kernels.light_shapes import (
     PI,
     disk_weight,
     meet_flat,
     meet_sphere,
     meet_tube,
-    rect_weight,
     sample_disk,
     sample_line,
-    sample_rect,
     sample_sphere,
     sample_tube,
     sphere_weight,
@@ -87,6 +86,9 @@ class LocalLights:
 
     texel: wp.array[wp.vec3f]
     """Rows from the top (+y), columns from +x; constant over each texel."""
+
+    guides: Guides
+    """Where the pictures are bright."""
 
 
 @wp.struct
@@ -255,7 +257,7 @@ def sample_local_light(lights: LocalLights, k: wp.int32, position: wp.vec3f, u: 
     gap = _to_light(lights, k, lights.center[k] - position)
     drawn = wp.vec4f(gap[0], gap[1], gap[2], 0.0)
     if kind == KIND_RECT:
-        drawn = sample_rect(gap, half, u)
+        drawn = sample_guided(lights.guides, k, gap, half, u)
     elif kind == KIND_DISK:
         drawn = sample_disk(gap, half[0], u)
     elif kind == KIND_SPHERE:
@@ -338,7 +340,7 @@ def local_light_pdf(lights: LocalLights, k: wp.int32, position: wp.vec3f, direct
     half = lights.half[k]
     weight = float(0.0)
     if kind == KIND_RECT:
-        weight = rect_weight(gap, half, t * ray)
+        weight = guided_weight(lights.guides, k, gap, half, t * ray)
     elif kind == KIND_DISK:
         weight = disk_weight(gap, half[0], t * ray)
     elif kind == KIND_SPHERE:

@@ -210,6 +210,7 @@ def banded(lights: Lights) -> Lights:
             for dome in lights.domes
         ),
         lights.distants,
+        lights.locals,
     )
 
 

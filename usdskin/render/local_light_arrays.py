@@ -15,10 +15,17 @@ from numpy.typing import NDArray
 from usdskin.device import vec3, vec4
 from usdskin.render.local_lights import KINDS, LocalLight
 from usdskin.warp_kernels import local_lights as kernels
+from usdskin.warp_kernels.light_pictures import Guides
 
 FloatArray = NDArray[np.float64]
 
 _LANES = 4
+
+_MOST_CELLS = 32
+_MOST_GUIDED = 0.8
+"""Largest share of samples that follow a picture: the others reach what the cells call dark."""
+
+_LEAST_CONTRAST = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,6 +138,62 @@ def _upload_textures(
     device_lights.texture = wp.array(place, dtype=wp.vec3i, device=device)
     flat = np.concatenate(texels) if texels else np.zeros((0, 3), np.float32)
     device_lights.texel = vec3(flat, device)
+    device_lights.guides = _guides(lights, device)
+
+
+def _guides(lights: tuple[LocalLight, ...], device: str) -> Guides:
+    """Return where pictures are bright, in at most 32 by 32 cells each.
+
+    The share of samples that follow a picture grows with its contrast 1 - mean^2 / mean square.
+    """
+    size = np.zeros((len(lights), 3), np.int32)
+    share = np.zeros(len(lights), np.float32)
+    sums: list[FloatArray] = []
+    used = 0
+    for k, light in enumerate(lights):
+        if light.texture is None:
+            continue
+        cells = _coarse(np.abs(light.texture.astype(np.float64)).mean(axis=2))
+        square = float((cells**2).mean())
+        contrast = 1.0 - float(cells.mean()) ** 2 / square if square > 0.0 else 0.0
+        if contrast < _LEAST_CONTRAST:
+            continue
+        share[k] = _MOST_GUIDED * contrast
+        rows, columns = cells.shape
+        size[k] = used, columns, rows
+        values = np.concatenate([_sums(cells.sum(axis=1)), *(_sums(row) for row in cells)])
+        sums.append(values)
+        used += values.size
+    guides = Guides()
+    guides.size = wp.array(size, dtype=wp.vec3i, device=device)
+    guides.share = wp.array(share, dtype=wp.float32, device=device)
+    flat = np.concatenate(sums) if sums else np.zeros(0)
+    guides.sum = wp.array(flat.astype(np.float32), dtype=wp.float32, device=device)
+    return guides
+
+
+def _coarse(values: FloatArray) -> FloatArray:
+    """Return means over a grid of no more than 32 by 32 cells of equal size."""
+    for axis in (0, 1):
+        count = values.shape[axis]
+        if count > _MOST_CELLS:
+            below = np.insert(np.cumsum(values, axis=axis), 0, 0.0, axis=axis)
+            edges = np.linspace(0.0, count, _MOST_CELLS + 1)
+            at = np.apply_along_axis(
+                lambda line, edges=edges: np.interp(edges, np.arange(line.size), line), axis, below
+            )
+            values = np.diff(at, axis=axis) * (_MOST_CELLS / count)
+    return values
+
+
+def _sums(values: FloatArray) -> FloatArray:
+    """Return the sums up to each value as parts of the whole; even ones where all is dark."""
+    total = float(values.sum())
+    if total <= 0.0:
+        values, total = np.ones_like(values), float(values.size)
+    found = np.cumsum(values) / total
+    found[-1] = 1.0
+    return found
 
 
 def _ints(values: object, device: str) -> wp.array:
