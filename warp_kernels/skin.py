@@ -25,6 +25,8 @@ from usdskin.warp_kernels.structs import (
     INPUT_CLEARCOAT_ROUGHNESS,
     INPUT_EMISSION,
     INPUT_LOBES,
+    INPUT_LUSTRE,
+    INPUT_LUSTRE_ROUGHNESS,
     INPUT_METALLIC,
     INPUT_ROUGHNESS,
     INPUT_SPECULAR,
@@ -48,13 +50,38 @@ class Point:
     barycentric: wp.vec3f
     position: wp.vec3f
     normal: wp.vec3f
-    """Unit shading normal, turned to the viewer's side."""
+    """Unit shading normal, maps included, turned to the viewer's side."""
+    geometric: wp.vec3f
+    """Unit normal of its triangle, turned to the viewer's side."""
     view: wp.vec3f
     """Unit direction towards the viewer."""
     footprint: wp.float32
     """Width of what one sample sees of the surface [m]."""
     triangle_area: wp.float32
     """Area of its triangle [m^2]."""
+
+
+@wp.func
+def texture_place(
+    geometry: Geometry, materials: Materials, point: Point, slot: wp.int32
+) -> wp.vec3f:
+    """Return a slot's texture coordinates at a point, and the footprint's width in them."""
+    primvar = materials.slot_primvar[slot]
+    first = geometry.corner_value[primvar, point.corner]
+    second = geometry.corner_value[primvar, point.corner + 1]
+    third = geometry.corner_value[primvar, point.corner + 2]
+    at = point.barycentric[0] * first + point.barycentric[1] * second + point.barycentric[2] * third
+    u = materials.slot_matrix_u[slot]
+    v = materials.slot_matrix_v[slot]
+    ab = second - first
+    ac = third - first
+    scale = wp.abs(u[0] * v[1] - u[1] * v[0])
+    area = 0.5 * scale * wp.abs(ab[0] * ac[1] - ab[1] * ac[0])
+    return wp.vec3f(
+        u[0] * at[0] + u[1] * at[1] + u[2],
+        v[0] * at[0] + v[1] * at[1] + v[2],
+        point.footprint * wp.sqrt(area / wp.max(point.triangle_area, 1.0e-20)),
+    )
 
 
 @wp.func
@@ -72,18 +99,8 @@ def read_input(geometry: Geometry, materials: Materials, point: Point, which: wp
     value = at
     texture = materials.slot_texture[slot]
     if texture >= 0:
-        u = materials.slot_matrix_u[slot]
-        v = materials.slot_matrix_v[slot]
-        st = wp.vec2f(
-            u[0] * at[0] + u[1] * at[1] + u[2],
-            v[0] * at[0] + v[1] * at[1] + v[2],
-        )
-        ab = second - first
-        ac = third - first
-        scale = wp.abs(u[0] * v[1] - u[1] * v[0])
-        area = 0.5 * scale * wp.abs(ab[0] * ac[1] - ab[1] * ac[0])
-        width = point.footprint * wp.sqrt(area / wp.max(point.triangle_area, 1.0e-20))
-        value = sample_texture(materials, texture, st, width)
+        place = texture_place(geometry, materials, point, slot)
+        value = sample_texture(materials, texture, wp.vec2f(place[0], place[1]), place[2])
     channel = materials.slot_channel[slot]
     if channel >= 0:
         return wp.vec4f(value[channel], value[channel], value[channel], value[channel])
@@ -227,6 +244,23 @@ def _base_weight(low: wp.vec4f, high: wp.vec4f, j: wp.int32) -> wp.float32:
 
 
 @wp.func
+def skin_lobes(geometry: Geometry, materials: Materials, point: Point) -> wp.vec4f:
+    """Return the lustre of skin: its weight, GGX alpha of both lobes, share of the second."""
+    m = point.material
+    lobes = materials.constant[m, INPUT_LOBES]
+    if materials.slot[m, INPUT_LUSTRE] >= 0:
+        lobes[0] = wp.clamp(read_input(geometry, materials, point, INPUT_LUSTRE)[0], 0.0, 1.0)
+    if materials.slot[m, INPUT_LUSTRE_ROUGHNESS] >= 0:
+        rough = read_input(geometry, materials, point, INPUT_LUSTRE_ROUGHNESS)[0]
+        rough = wp.clamp(rough, 0.0, 1.0)
+        ratio = materials.constant[m, INPUT_LUSTRE_ROUGHNESS][0]
+        second = wp.min(rough * ratio, 1.0)
+        lobes[1] = rough * rough
+        lobes[2] = second * second
+    return lobes
+
+
+@wp.func
 def shade_skin(
     geometry: Geometry, lights: Lights, materials: Materials, film: Film, pixel: wp.int32,
     point: Point, weight: wp.float32,
@@ -244,7 +278,7 @@ def shade_skin(
     if bases > 4:
         high = read_input(geometry, materials, point, INPUT_BASE_HIGH)
     glossy = (materials.flags[m] & 4) != 0
-    lobes = materials.constant[m, INPUT_LOBES]
+    lobes = skin_lobes(geometry, materials, point)
     f0 = materials.constant[m, INPUT_SPECULAR][0]
     nv = wp.max(wp.dot(point.normal, point.view), 1.0e-4)
     passed = float(weight)

@@ -14,6 +14,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from usdskin.colorimetry import illuminant, xyz_to_rgb, xyz_weights
+from usdskin.render.detail import check_normal_map, frames_of
 from usdskin.render.inputs import PrimvarInput, TextureInput
 from usdskin.render.materials import SkinMaterial, SurfaceMaterial
 from usdskin.render.surface_rows import (
@@ -73,6 +74,10 @@ def build_surfaces(
         for material in materials
     ]
     rows.append(dome_rows(light_spectra))
+    first = frames_of(materials)
+    for row in rows:
+        for which, frame in row.frames.items():
+            row.constant[which, 3] = 1 + first[frame]  # 0 is no map
     return _upload(rows, frame, wraps, primvars, device)
 
 
@@ -144,6 +149,8 @@ def _upload(
     slot = np.full((len(rows), structs.INPUT_COUNT), -1, np.int32)
     for m, row in enumerate(rows):
         for which, value in row.inputs.items():
+            if which == structs.INPUT_NORMAL and isinstance(value, TextureInput):
+                check_normal_map(value)
             weighed = row.weighs and which in (structs.INPUT_BASE, structs.INPUT_BASE_HIGH)
             slot[m, which] = slots.add(value, len(row.bases) if weighed else 0)
     counts = np.array([len(row.rows) for row in rows], np.int32)

@@ -1,0 +1,150 @@
+"""Surface detail: shading normals tilted by normal maps and by the slope of height maps.
+
+``Geometry.corner_frame`` holds what turns a texture's axes into directions: for a normal map the
+tangent and the sign of the bitangent (MikkTSpace's conventions), for a height map the surface
+gradients of s and t [1/m].
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from usdskin.warp_kernels.lookup import sample_texture
+from usdskin.warp_kernels.skin import Point, read_input, texture_place
+from usdskin.warp_kernels.structs import INPUT_BUMP, INPUT_NORMAL, Geometry, Materials
+
+wp.set_module_options({"enable_backward": False})
+
+LEAST_RISE = wp.constant(0.01)
+"""Cosine that reflected views keep from the surface's plane."""
+
+
+@wp.func
+def _frame(geometry: Geometry, point: Point, row: wp.int32) -> wp.vec4f:
+    """Return a row of the corner frames at a point."""
+    b = point.barycentric
+    value = b[0] * geometry.corner_frame[row, point.corner]
+    value += b[1] * geometry.corner_frame[row, point.corner + 1]
+    value += b[2] * geometry.corner_frame[row, point.corner + 2]
+    return value
+
+
+@wp.func
+def mapped_normal(frame: wp.vec4f, mapped: wp.vec4f, normal: wp.vec3f) -> wp.vec3f:
+    """Return a tangent-space normal in the space of the frame.
+
+    The tangent is made orthogonal to the shading normal N, the bitangent is sign x (N x T), as
+    MikkTSpace's documentation has it.
+
+    Args:
+        frame: Tangent, and the sign of the bitangent.
+        mapped: Normal in x (tangent), y (bitangent) and z; need not be of length 1.
+        normal: Unit shading normal on the outside of the surface.
+    """
+    if mapped[0] == 0.0 and mapped[1] == 0.0:
+        return normal
+    tangent = wp.vec3f(frame[0], frame[1], frame[2])
+    tangent = tangent - wp.dot(tangent, normal) * normal
+    length = wp.length(tangent)
+    if length < 1.0e-6:  # no texture coordinates here
+        return normal
+    tangent = tangent / length
+    side = wp.where(frame[3] < 0.0, -1.0, 1.0)
+    bitangent = side * wp.cross(normal, tangent)
+    tilted = mapped[0] * tangent + mapped[1] * bitangent + mapped[2] * normal
+    length = wp.length(tilted)
+    if length < 1.0e-6:
+        return normal
+    return tilted / length
+
+
+@wp.func
+def _height_slope(geometry: Geometry, materials: Materials, point: Point) -> wp.vec2f:
+    """Return the slope of the height map along s and t, at the footprint's own level.
+
+    Central differences one texel of that level apart: wider ones would blur, narrower ones would
+    show the facets of the bilinear lookup.
+    """
+    slot = materials.slot[point.material, INPUT_BUMP]
+    texture = materials.slot_texture[slot]
+    channel = materials.slot_channel[slot]
+    place = texture_place(geometry, materials, point, slot)
+    base = materials.texture_level[texture, 0]
+    levels = materials.texture_info[texture][0]
+    wide = wp.max(place[2] * wp.float32(wp.max(base[1], base[2])), 1.0e-6)
+    texel = wp.exp2(wp.clamp(wp.log2(wide), 0.0, wp.float32(levels - 1)))
+    ds = texel / wp.float32(base[1])
+    dt = texel / wp.float32(base[2])
+    left = sample_texture(materials, texture, wp.vec2f(place[0] - ds, place[1]), place[2])
+    right = sample_texture(materials, texture, wp.vec2f(place[0] + ds, place[1]), place[2])
+    below = sample_texture(materials, texture, wp.vec2f(place[0], place[1] - dt), place[2])
+    above = sample_texture(materials, texture, wp.vec2f(place[0], place[1] + dt), place[2])
+    return wp.vec2f(
+        (right[channel] - left[channel]) / (2.0 * ds),
+        (above[channel] - below[channel]) / (2.0 * dt),
+    )
+
+
+@wp.func
+def facing_normal(normal: wp.vec3f, smooth: wp.vec3f, view: wp.vec3f) -> wp.vec3f:
+    """Return a tilted normal turned back until the view reflected by it leaves the surface.
+
+    In the plane of both normals, let n be at the angle a from the smooth normal z. The reflected
+    view r = 2 (n.v) n - v has r.z = A cos(2 a - phi), where A and phi are the polar coordinates
+    of the view's projection. It is at least c for 2 a <= phi + acos(c / A), to which a is cut off;
+    c is below v.z, so that the smooth normal itself is never turned.
+
+    Args:
+        normal: Unit tilted normal.
+        smooth: Unit normal before the tilt, on the viewer's side.
+        view: Unit direction towards the viewer.
+    """
+    upright = wp.dot(normal, smooth)
+    across = normal - upright * smooth
+    sine = wp.length(across)
+    if sine < 1.0e-6:
+        return smooth
+    across = across / sine
+    x = wp.dot(view, across)
+    z = wp.dot(view, smooth)
+    least = wp.min(z - 0.1 * wp.abs(z), LEAST_RISE)
+    size = wp.max(wp.sqrt(x * x + z * z), 1.0e-6)
+    most = 0.5 * (wp.atan2(x, z) + wp.acos(wp.clamp(least / size, -1.0, 1.0)))
+    angle = wp.atan2(sine, upright)
+    if angle <= most:
+        return normal
+    most = wp.max(most, 0.0)
+    return wp.cos(most) * smooth + wp.sin(most) * across
+
+
+@wp.func
+def detailed_normal(
+    geometry: Geometry, materials: Materials, point: Point, side: wp.float32
+) -> wp.vec3f:
+    """Return the shading normal of a point under its material's normal and height map.
+
+    Args:
+        geometry: The triangles.
+        materials: Their materials.
+        point: The point, its normal still that of the geometry.
+        side: 1 where the outside of the surface is seen, -1 where its inside is. Maps speak of the
+            outside, so that a hill is a pit from behind.
+    """
+    mapping = materials.constant[point.material, INPUT_NORMAL]
+    bumping = materials.constant[point.material, INPUT_BUMP]
+    if mapping[3] == 0.0 and bumping[3] == 0.0:
+        return point.normal
+    normal = side * point.normal
+    if mapping[3] > 0.0:
+        mapped = read_input(geometry, materials, point, INPUT_NORMAL)
+        frame = _frame(geometry, point, wp.int32(mapping[3]) - 1)
+        normal = mapped_normal(frame, mapped, normal)
+    if bumping[3] > 0.0:
+        row = wp.int32(bumping[3]) - 1
+        slope = bumping[0] * _height_slope(geometry, materials, point)
+        along_s = _frame(geometry, point, row)
+        along_t = _frame(geometry, point, row + 1)
+        gradient = slope[0] * wp.vec3f(along_s[0], along_s[1], along_s[2])
+        gradient += slope[1] * wp.vec3f(along_t[0], along_t[1], along_t[2])
+        normal = wp.normalize(normal - gradient + wp.dot(gradient, normal) * normal)
+    return facing_normal(side * normal, point.normal, point.view)
