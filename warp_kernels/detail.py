@@ -72,7 +72,7 @@ def _height_slope(geometry: Geometry, materials: Materials, point: Point) -> wp.
     base = materials.texture_level[texture, 0]
     levels = materials.texture_info[texture][0]
     wide = wp.max(place[2] * wp.float32(wp.max(base[1], base[2])), 1.0e-6)
-    texel = wp.exp2(wp.clamp(wp.log2(wide), 0.0, wp.float32(levels - 1)))
+    texel = wp.pow(2.0, wp.clamp(wp.log2(wide), 0.0, wp.float32(levels - 1)))
     ds = texel / wp.float32(base[1])
     dt = texel / wp.float32(base[2])
     left = sample_texture(materials, texture, wp.vec2f(place[0] - ds, place[1]), place[2])

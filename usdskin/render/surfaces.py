@@ -76,8 +76,8 @@ def build_surfaces(
     rows.append(dome_rows(light_spectra))
     first = frames_of(materials)
     for row in rows:
-        for which, frame in row.frames.items():
-            row.constant[which, 3] = 1 + first[frame]  # 0 is no map
+        for which, laid_along in row.frames.items():
+            row.constant[which, 3] = 1 + first[laid_along]  # 0 is no map
     return _upload(rows, frame, wraps, primvars, device)
 
 
