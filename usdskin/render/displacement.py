@@ -102,7 +102,8 @@ def _amount(mesh: MeshArrays, displacement: Displacement, shown: FloatArray) -> 
         found = mesh.primvars.get(value.name)
         if found is None:
             return np.full((count, 3), float(value.fallback[0]))
-        return found[shown][..., 0].astype(np.float64)
+        held: FloatArray = found[shown][..., 0].astype(np.float64)
+        return held
     return np.full((count, 3), float(value))  # type: ignore[arg-type]
 
 
