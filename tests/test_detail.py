@@ -350,6 +350,40 @@ def test_fine_relief_fades_with_the_distance():
     np.testing.assert_allclose(found, np.broadcast_to((0, 0, 1), found.shape), atol=1e-3)
 
 
+ROUGH = (
+    "float inputs:skin:specular:weight = 1\n float inputs:skin:specular:roughness1 = {0}\n"
+    " float inputs:skin:specular:roughness2 = {0}\n"
+)
+
+
+@pytest.mark.parametrize("kind", ["normal", "bump"])
+def test_relief_too_fine_to_be_seen_reflects_as_roughness_does(kind):
+    """Slopes +-0.3 along both axes, by texel: alpha^2 grows by their variance, 0.18."""
+    slope, half = 0.3, 1.0  # the card is 2 m wide
+    sign = np.where(np.arange(512) // 2 % 2, 1.0, -1.0)
+    along_s, along_t = np.meshgrid(slope * sign, slope * sign)
+    if kind == "normal":
+        normal = np.stack([-along_s, -along_t, np.ones_like(along_s)], -1)
+        encoded("n.exr", normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+        body, variance = NORMAL_FILE, 2.0 * (np.sqrt(1.0 + 2.0 * slope**2) - 1.0)
+    else:
+        # Triangles of 4 texels: central differences are +-slope on one half of the texels and
+        # 0 at the turns, which halves the variance.
+        wave = np.array([0.0, 1.0, 2.0, 1.0]) * slope * 2.0 * half / 512
+        row = np.tile(wave, 128)
+        heights("h.exr", row[None, :] + row[:, None])
+        body = f"{BUMP_FILE}\n float inputs:skin:bump:depth = 1"
+        variance = slope**2
+    fine = render(stage_text(LOBES, skin_map(ROUGH.format(0.3) + body), quad("Card", CARD)))
+    rough = float((0.3**4 + variance) ** 0.25)
+    expected = render(stage_text(LOBES, skin_map(ROUGH.format(rough)), quad("Card", CARD)))
+    sharp = render(stage_text(LOBES, skin_map(ROUGH.format(0.3)), quad("Card", CARD)))
+    inside = slice(4, -4)
+    error = np.abs(fine - expected)[inside, inside].max()
+    change = np.abs(sharp - expected)[inside, inside].max()
+    assert change > 0.02 and error < 0.1 * change
+
+
 # --- Maps of the lustre
 
 GLOSS = "float inputs:skin:specular:weight = {}\n float inputs:skin:specular:roughness1 = {}\n"

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from usdskin.warp_kernels.lookup import sample_texture
-from usdskin.warp_kernels.skin import Point, read_input, texture_place
+from usdskin.warp_kernels.skin import Point, read_input
 from usdskin.warp_kernels.structs import INPUT_BUMP, INPUT_NORMAL, Geometry, Materials
 
 wp.set_module_options({"enable_backward": False})
@@ -59,30 +58,16 @@ def mapped_normal(frame: wp.vec4f, mapped: wp.vec4f, normal: wp.vec3f) -> wp.vec
 
 
 @wp.func
-def _height_slope(geometry: Geometry, materials: Materials, point: Point) -> wp.vec2f:
-    """Return the slope of the height map along s and t, at the footprint's own level.
+def shortening_variance(mapped: wp.vec4f) -> wp.float32:
+    """Return the variance of slopes that shortens a mean of unit normals to a length.
 
-    Central differences one texel of that level apart: wider ones would blur, narrower ones would
-    show the facets of the bilinear lookup.
+    Toksvig 2004: (1 - length) / length along each of two axes.
     """
-    slot = materials.slot[point.material, INPUT_BUMP]
-    texture = materials.slot_texture[slot]
-    channel = materials.slot_channel[slot]
-    place = texture_place(geometry, materials, point, slot)
-    base = materials.texture_level[texture, 0]
-    levels = materials.texture_info[texture][0]
-    wide = wp.max(place[2] * wp.float32(wp.max(base[1], base[2])), 1.0e-6)
-    texel = wp.pow(2.0, wp.clamp(wp.log2(wide), 0.0, wp.float32(levels - 1)))
-    ds = texel / wp.float32(base[1])
-    dt = texel / wp.float32(base[2])
-    left = sample_texture(materials, texture, wp.vec2f(place[0] - ds, place[1]), place[2])
-    right = sample_texture(materials, texture, wp.vec2f(place[0] + ds, place[1]), place[2])
-    below = sample_texture(materials, texture, wp.vec2f(place[0], place[1] - dt), place[2])
-    above = sample_texture(materials, texture, wp.vec2f(place[0], place[1] + dt), place[2])
-    return wp.vec2f(
-        (right[channel] - left[channel]) / (2.0 * ds),
-        (above[channel] - below[channel]) / (2.0 * dt),
-    )
+    length = wp.sqrt(mapped[0] * mapped[0] + mapped[1] * mapped[1] + mapped[2] * mapped[2])
+    if length > 0.999999:
+        return 0.0
+    length = wp.max(length, 0.05)
+    return 2.0 * (1.0 - length) / length
 
 
 @wp.func
@@ -120,8 +105,10 @@ def facing_normal(normal: wp.vec3f, smooth: wp.vec3f, view: wp.vec3f) -> wp.vec3
 @wp.func
 def detailed_normal(
     geometry: Geometry, materials: Materials, point: Point, side: wp.float32
-) -> wp.vec3f:
+) -> wp.vec4f:
     """Return the shading normal of a point under its material's normal and height map.
+
+    The fourth value is the variance of the relief's slopes inside the footprint, over both axes.
 
     Args:
         geometry: The triangles.
@@ -132,19 +119,30 @@ def detailed_normal(
     """
     mapping = materials.constant[point.material, INPUT_NORMAL]
     bumping = materials.constant[point.material, INPUT_BUMP]
+    normal = point.normal
     if mapping[3] == 0.0 and bumping[3] == 0.0:
-        return point.normal
-    normal = side * point.normal
+        return wp.vec4f(normal[0], normal[1], normal[2], 0.0)
+    normal = side * normal
+    variance = float(0.0)
     if mapping[3] > 0.0:
         mapped = read_input(geometry, materials, point, INPUT_NORMAL)
         frame = _frame(geometry, point, wp.int32(mapping[3]) - 1)
         normal = mapped_normal(frame, mapped, normal)
+        slot = materials.slot[point.material, INPUT_NORMAL]
+        if slot >= 0:
+            if materials.slot_texture[slot] >= 0:
+                variance = shortening_variance(mapped)
     if bumping[3] > 0.0:
+        # Slopes along s and t, and their squares.
+        mean = read_input(geometry, materials, point, INPUT_BUMP)
         row = wp.int32(bumping[3]) - 1
-        slope = bumping[0] * _height_slope(geometry, materials, point)
-        along_s = _frame(geometry, point, row)
-        along_t = _frame(geometry, point, row + 1)
-        gradient = slope[0] * wp.vec3f(along_s[0], along_s[1], along_s[2])
-        gradient += slope[1] * wp.vec3f(along_t[0], along_t[1], along_t[2])
+        frame_s = _frame(geometry, point, row)
+        frame_t = _frame(geometry, point, row + 1)
+        along_s = bumping[0] * wp.vec3f(frame_s[0], frame_s[1], frame_s[2])
+        along_t = bumping[0] * wp.vec3f(frame_t[0], frame_t[1], frame_t[2])
+        gradient = mean[0] * along_s + mean[1] * along_t
         normal = wp.normalize(normal - gradient + wp.dot(gradient, normal) * normal)
-    return facing_normal(side * normal, point.normal, point.view)
+        variance += wp.max(mean[2] - mean[0] * mean[0], 0.0) * wp.dot(along_s, along_s)
+        variance += wp.max(mean[3] - mean[1] * mean[1], 0.0) * wp.dot(along_t, along_t)
+    normal = facing_normal(side * normal, point.normal, point.view)
+    return wp.vec4f(normal[0], normal[1], normal[2], variance)

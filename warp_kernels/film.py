@@ -101,7 +101,9 @@ def surface_point(
     point.geometric = side * wp.normalize(cross)
     grazing = wp.max(wp.dot(normal, point.view), 0.05)
     point.footprint = (ray.width + ray.spread * t) / wp.sqrt(grazing)
-    point.normal = detailed_normal(geometry, materials, point, side)
+    relief = detailed_normal(geometry, materials, point, side)
+    point.normal = wp.vec3f(relief[0], relief[1], relief[2])
+    point.relief_variance = relief[3]
     return point
 
 

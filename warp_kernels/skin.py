@@ -53,35 +53,14 @@ class Point:
     """Unit shading normal, maps included, turned to the viewer's side."""
     geometric: wp.vec3f
     """Unit normal of its triangle, turned to the viewer's side."""
+    relief_variance: wp.float32
+    """Variance of slopes of the maps' relief that the footprint holds, over both axes [1]."""
     view: wp.vec3f
     """Unit direction towards the viewer."""
     footprint: wp.float32
     """Width of what one sample sees of the surface [m]."""
     triangle_area: wp.float32
     """Area of its triangle [m^2]."""
-
-
-@wp.func
-def texture_place(
-    geometry: Geometry, materials: Materials, point: Point, slot: wp.int32
-) -> wp.vec3f:
-    """Return a slot's texture coordinates at a point, and the footprint's width in them."""
-    primvar = materials.slot_primvar[slot]
-    first = geometry.corner_value[primvar, point.corner]
-    second = geometry.corner_value[primvar, point.corner + 1]
-    third = geometry.corner_value[primvar, point.corner + 2]
-    at = point.barycentric[0] * first + point.barycentric[1] * second + point.barycentric[2] * third
-    u = materials.slot_matrix_u[slot]
-    v = materials.slot_matrix_v[slot]
-    ab = second - first
-    ac = third - first
-    scale = wp.abs(u[0] * v[1] - u[1] * v[0])
-    area = 0.5 * scale * wp.abs(ab[0] * ac[1] - ab[1] * ac[0])
-    return wp.vec3f(
-        u[0] * at[0] + u[1] * at[1] + u[2],
-        v[0] * at[0] + v[1] * at[1] + v[2],
-        point.footprint * wp.sqrt(area / wp.max(point.triangle_area, 1.0e-20)),
-    )
 
 
 @wp.func
@@ -99,8 +78,18 @@ def read_input(geometry: Geometry, materials: Materials, point: Point, which: wp
     value = at
     texture = materials.slot_texture[slot]
     if texture >= 0:
-        place = texture_place(geometry, materials, point, slot)
-        value = sample_texture(materials, texture, wp.vec2f(place[0], place[1]), place[2])
+        u = materials.slot_matrix_u[slot]
+        v = materials.slot_matrix_v[slot]
+        st = wp.vec2f(
+            u[0] * at[0] + u[1] * at[1] + u[2],
+            v[0] * at[0] + v[1] * at[1] + v[2],
+        )
+        ab = second - first
+        ac = third - first
+        scale = wp.abs(u[0] * v[1] - u[1] * v[0])
+        area = 0.5 * scale * wp.abs(ab[0] * ac[1] - ab[1] * ac[0])
+        width = point.footprint * wp.sqrt(area / wp.max(point.triangle_area, 1.0e-20))
+        value = sample_texture(materials, texture, st, width)
     channel = materials.slot_channel[slot]
     if channel >= 0:
         return wp.vec4f(value[channel], value[channel], value[channel], value[channel])
@@ -244,6 +233,14 @@ def _base_weight(low: wp.vec4f, high: wp.vec4f, j: wp.int32) -> wp.float32:
 
 
 @wp.func
+def widened(alpha: wp.float32, point: Point) -> wp.float32:
+    """Return a GGX alpha with the relief below the footprint: alpha^2 is a variance of slopes."""
+    if point.relief_variance <= 0.0:
+        return alpha
+    return wp.min(wp.sqrt(alpha * alpha + point.relief_variance), 1.0)
+
+
+@wp.func
 def skin_lobes(geometry: Geometry, materials: Materials, point: Point) -> wp.vec4f:
     """Return the lustre of skin: its weight, GGX alpha of both lobes, share of the second."""
     m = point.material
@@ -257,6 +254,8 @@ def skin_lobes(geometry: Geometry, materials: Materials, point: Point) -> wp.vec
         second = wp.min(rough * ratio, 1.0)
         lobes[1] = rough * rough
         lobes[2] = second * second
+    lobes[1] = widened(lobes[1], point)
+    lobes[2] = widened(lobes[2], point)
     return lobes
 
 
@@ -353,12 +352,12 @@ def shade_preview_surface(
     if (flags & 32) != 0:
         coat = read_input(geometry, materials, point, INPUT_CLEARCOAT)[0]
         rough = read_input(geometry, materials, point, INPUT_CLEARCOAT_ROUGHNESS)[0]
-        coat_alpha = rough * rough
+        coat_alpha = widened(rough * rough, point)
         response = lookup_fresnel(lights, coat_alpha, nv)
         solid = solid * (1.0 - coat * (0.04 * response[0] + response[1]))
         shine = shine * (1.0 - coat * (0.04 * response[0] + response[1]))
     rough = read_input(geometry, materials, point, INPUT_ROUGHNESS)[0]
-    alpha = rough * rough
+    alpha = widened(rough * rough, point)
     tint = read_input(geometry, materials, point, INPUT_SPECULAR)
     dielectric = float(0.0)  # F0 of the untinted part
     highest = wp.max(tint[0], wp.max(tint[1], tint[2]))

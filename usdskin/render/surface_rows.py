@@ -105,7 +105,9 @@ def gloss_alphas(
 ) -> tuple[float, ...]:
     """Return the GGX alphas to prefilter, ascending: those in use, or the ladder if they vary."""
     found: set[float] = set()
+    widens = False
     for material in materials:
+        widens |= _widens(material)
         if isinstance(material, SkinMaterial):
             skin = material.parameters
             if material.is_lustrous and material.lustre_roughness is not None:
@@ -120,7 +122,17 @@ def gloss_alphas(
                 if not isinstance(roughness, float | int):
                     return ladder
                 found.add(float(roughness) ** 2)
-    return tuple(sorted(round(float(alpha), 6) for alpha in found))
+    if widens and found:
+        found |= {alpha for alpha in ladder if alpha > min(found)}
+    return tuple(sorted({round(float(alpha), 6) for alpha in found}))
+
+
+def _widens(material: SkinMaterial | SurfaceMaterial) -> bool:
+    """Return whether relief below the footprint widens a material's reflections."""
+    if isinstance(material, SkinMaterial) and material.bump is not None:
+        return material.is_lustrous
+    lustrous = material.is_lustrous if isinstance(material, SkinMaterial) else material.reflective
+    return lustrous and isinstance(material.normal, TextureInput)
 
 
 def dome_rows(light: FloatArray) -> MaterialRows:
