@@ -449,3 +449,31 @@ def test_detail_is_defined_for_meshes_and_shapes_alike():
     found = normals_of(skin_map(NORMAL_FILE), cube)
     middle = found[SIZE // 2, SIZE // 2]
     np.testing.assert_allclose(middle, (0.6, 0, 0.8), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("body", "primvar", "said"),
+    [
+        ("asset inputs:skin:bump:file = @./broken.exr@", "", "broken.exr"),
+        ("asset inputs:skin:normal:file = @./gone.exr@", "", "gone.exr"),
+        ("asset inputs:skin:displacement:file = @./nan.exr@", "", "nan.exr: 1 pixels"),
+        ("asset inputs:skin:normal:file = @./t.<UDIM>.exr@", "", "UDIM"),
+        ("asset inputs:skin:displacement:file = @./one.exr@\n"
+         "float inputs:skin:displacement:scale = 1e38", "", "lower it"),
+        (NORMAL_FILE, "float2[] primvars:tangents = [(1, 0)] (interpolation = 'constant')",
+         "rows of 2 numbers"),
+    ],
+)  # fmt: skip
+def test_maps_that_cannot_be_used_are_refused_in_one_line(body, primvar, said, capfd):
+    encoded("n.exr", even((0.6, 0, 0.8)))
+    encoded("t.1001.exr", even((0.6, 0, 0.8)))
+    Path("broken.exr").write_bytes(b"no picture")
+    values = np.full((4, 4), 40.0)
+    heights("one.exr", values)
+    values[1, 2] = np.nan
+    heights("nan.exr", values)
+    card = quad("Card", f"{CARD}\n    {primvar}")
+    Path("shot.usda").write_text(stage_text(WHITE, skin_map(body), card))
+    assert cli.main(["-q", "render", "shot.usda", "shot.exr", "-r", "8", "8"]) == 3
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith("usdskin: error: ") and said in line

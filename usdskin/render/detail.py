@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.errors import LayerError
+from usdskin.errors import LayerError, MeshError
 from usdskin.images import read_headers
 from usdskin.notes import Note
 from usdskin.render.displacement import displaced
@@ -72,8 +72,10 @@ def check_normal_map(value: TextureInput) -> None:
     Raises:
         LayerError: It is one.
     """
+    if min(value.bias[:2]) < 0.0:
+        return
     kind = read_headers(value.file)[0].channel_types[0]
-    if kind.startswith("uint") and min(value.bias[:2]) >= 0.0:
+    if kind.startswith("uint"):
         raise LayerError(
             f"{value.file}: is a normal map of {kind}, whose values run from 0 to 1; author "
             "inputs:scale = (2, 2, 2, 1) and inputs:bias = (-1, -1, -1, 0) on its UsdUVTexture"
@@ -142,8 +144,16 @@ def _authored(
 
     The sign is that of authored bitangents, else the tangents' own fourth value, else that of the
     texture coordinates.
+
+    Raises:
+        MeshError: Tangents are not rows of three or four numbers.
     """
     local = mesh.primvars["tangents"].astype(np.float64)
+    if local.shape[2] not in (3, 4):
+        raise MeshError(
+            f"<{mesh.path}>: primvars:tangents has rows of {local.shape[2]} numbers; author "
+            "three, or four with the sign of the bitangent"
+        )
     linear = to_world[:3, :3]
     frames = np.zeros((*local.shape[:2], 4), np.float32)
     tangent = local[..., :3] @ linear.T

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from usdskin.errors import MeshError
 from usdskin.render.inputs import PrimvarInput, TextureInput
 from usdskin.render.materials import Displacement, SkinMaterial, SurfaceMaterial
 from usdskin.render.mesh_limit import unit
@@ -39,6 +40,7 @@ def displaced(
     Raises:
         ImageError: A displacement map is missing or broken.
         LayerError: A setting of one cannot be used.
+        MeshError: Points would lie beyond what numbers hold.
     """
     wanted = {
         slot: amount
@@ -63,7 +65,13 @@ def displaced(
     way = unit(_sums(place, angle[..., None] * normal))
     moved_by = _sums(place, (angle * height)[..., None]) / _sums(place, angle[..., None])
     points[mesh.triangles] += (moved_by * way)[place]
-    moved = points.astype(np.float32)
+    with np.errstate(over="ignore"):
+        moved = points.astype(np.float32)
+    if not np.isfinite(moved).all():
+        raise MeshError(
+            f"<{mesh.path}>: its material's displacement moves points by up to "
+            f"{np.abs(height).max():g} m, further than numbers reach; lower it"
+        )
     after = moved.astype(np.float64)[mesh.triangles]
     shared = names_of(corner, normal)
     before_normal = unit(_sums(shared, angle[..., None] * _face_normals(corner)))

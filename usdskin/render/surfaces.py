@@ -155,10 +155,10 @@ def _upload(
     slot = np.full((len(rows), structs.INPUT_COUNT), -1, np.int32)
     for m, row in enumerate(rows):
         for which, value in row.inputs.items():
-            if which == structs.INPUT_NORMAL and isinstance(value, TextureInput):
-                check_normal_map(value)
             weighed = row.weighs and which in (structs.INPUT_BASE, structs.INPUT_BASE_HIGH)
             slot[m, which] = slots.add(value, len(row.bases) if weighed else 0, which)
+            if which == structs.INPUT_NORMAL and isinstance(value, TextureInput):
+                check_normal_map(value)
     counts = np.array([len(row.rows) for row in rows], np.int32)
     spectra = np.concatenate([np.stack(row.rows) for row in rows])
     weights = xyz_weights(frame.wavelength_nm, frame.observer, frame.absolute)
