@@ -365,19 +365,54 @@ def test_what_is_not_shown_is_noted_once(folder):
         folder,
         preview(
             """
-        normal3f inputs:normal.connect = </M/Tex.outputs:rgb>
         float inputs:occlusion.connect = </M/Tex.outputs:r>
         float inputs:displacement = 0.1""",
             TEXTURE,
-            "token outputs:displacement.connect = </M/Surface.outputs:displacement>",
         ),
     )
-    assert sorted(codes(notes)) == [
-        "displacement-ignored",
-        "normal-map-ignored",
-        "occlusion-ignored",
-    ]
+    assert sorted(codes(notes)) == ["displacement-ignored", "occlusion-ignored"]
+    assert material.displacement is None
     assert material.diffuse_color == (0.18, 0.18, 0.18)
+
+
+def test_displacement_by_another_shader_is_noted(folder):
+    connected = "token outputs:displacement.connect = </M/Push.outputs:out>"
+    push = """def Shader "Push"
+    {
+        uniform token info:id = "ND_displacement_float"
+        token outputs:out
+    }"""
+    material, notes = read(folder, preview("", push, connected))
+    assert codes(notes) == ["displacement-ignored"]
+    assert "ND_displacement_float" in notes[0].message
+    assert material.displacement is None
+
+
+def test_displacement_is_read_where_the_material_connects_it(folder):
+    connected = "token outputs:displacement.connect = </M/Surface.outputs:displacement>"
+    material, notes = read(folder, preview("float inputs:displacement = -0.25", "", connected))
+    assert notes == []
+    assert (material.displacement.amount, material.displacement.unit) == (-0.25, 1.0)
+    body = "float inputs:displacement.connect = </M/Tex.outputs:r>"
+    material, _ = read(folder, preview(body, TEXTURE, connected))
+    assert material.displacement.amount.channel == "r"
+    assert required_primvars([material]) == {"map1"}
+
+
+@pytest.mark.parametrize(("encoding", "noted"), [("raw", 0), ("auto", 1), ("sRGB", 1)])
+def test_a_normal_map_is_raw_whatever_it_says(encoding, noted, folder):
+    nodes = TEXTURE.replace('"sRGB"', f'"{encoding}"')
+    body = "normal3f inputs:normal.connect = </M/Tex.outputs:rgb>"
+    material, notes = read(folder, preview(body, nodes))
+    assert codes(notes) == ["normal-map-not-raw"] * noted
+    assert material.normal.source_color_space == "raw"
+    assert material.normal.scale == (2.0, 3.0, 4.0, 5.0)
+
+
+def test_a_constant_normal_counts_and_the_geometrys_own_is_none(folder):
+    assert read(folder, preview("normal3f inputs:normal = (0, 0, 1)"))[0].normal is None
+    material, _ = read(folder, preview("normal3f inputs:normal = (0.6, 0, 0.8)"))
+    assert material.normal == (0.6, 0.0, 0.8)
 
 
 def test_connected_displacement_of_zero_is_no_displacement(folder):

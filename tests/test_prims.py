@@ -197,6 +197,12 @@ def test_an_empty_skin_has_the_fallbacks_of_the_schema(stage: Usd.Stage) -> None
         assert getattr(skin, field) == getattr(fallback, field), field
 
 
+MAPS = ("weights:file", "normal:file", "bump:file", "displacement:file", "specular:weight:file",
+        "specular:roughness:file")  # fmt: skip
+FILES = ("weights_file", "normal_file", "bump_file", "displacement_file", "specular_weight_file",
+         "specular_roughness_file")  # fmt: skip
+
+
 def test_a_skin_is_read_whole(skin: Usd.Prim, tmp_path: Path) -> None:
     (tmp_path / "weights.exr").write_bytes(b"")
     settings = {
@@ -205,12 +211,15 @@ def test_a_skin_is_read_whole(skin: Usd.Prim, tmp_path: Path) -> None:
         "wrapNormalization": "energy",
         "thickness": 0.002,
         "texcoord": "uv",
+        "bump:depth": -0.002,
+        "displacement:scale": 0.25,
+        "displacement:midLevel": 0.0,
         "specular:weight": 1.0,
         "specular:roughness1": 0.4,
         "specular:roughness2": 0.2,
         "specular:mix": 0.1,
         "specular:f0": 0.04,
-        "weights:file": str(tmp_path / "weights.exr"),
+        **dict.fromkeys(MAPS, str(tmp_path / "weights.exr")),
         "weights:basis": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
         "weights:basis:wavelengths": [400.0, 550.0, 700.0],
     }
@@ -229,7 +238,10 @@ def test_a_skin_is_read_whole(skin: Usd.Prim, tmp_path: Path) -> None:
     assert (found.thickness, found.texcoord) == (0.002, "uv")
     assert (found.specular_weight, found.roughness1, found.roughness2) == (1.0, 0.4, 0.2)
     assert (found.mix, found.f0) == (0.1, 0.04)
-    assert found.weights_file == tmp_path / "weights.exr"
+    assert (found.bump_depth, found.displacement_scale) == (-0.002, 0.25)
+    assert found.displacement_mid_level == 0.0
+    for field in FILES:
+        assert getattr(found, field) == tmp_path / "weights.exr", field
     np.testing.assert_array_equal(found.weights_basis, [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
     np.testing.assert_array_equal(found.weights_wavelength_nm, [400.0, 550.0, 700.0])
     assert isinstance(found.opacity, Spectrum)
@@ -364,6 +376,14 @@ def test_a_skin_comes_back_as_it_was_written(tmp_path: Path) -> None:
         weights_basis=np.array([[0.1, 0.2], [0.3, 0.4]]),
         weights_wavelength_nm=np.array([400.0, 700.0]),
         texcoord="uv",
+        normal_file=tmp_path / "maps" / "w.exr",
+        bump_file=tmp_path / "maps" / "w.exr",
+        bump_depth=0.0003,
+        displacement_file=tmp_path / "maps" / "w.exr",
+        displacement_scale=0.02,
+        displacement_mid_level=0.25,
+        specular_weight_file=tmp_path / "maps" / "w.exr",
+        specular_roughness_file=tmp_path / "maps" / "w.exr",
         specular_weight=1.0,
         roughness1=0.6,
         roughness2=0.25,

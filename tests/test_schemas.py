@@ -221,6 +221,14 @@ ATTRIBUTES: dict[str, dict[str, tuple[str, object]]] = {
         "inputs:skin:weights:basis": ("double[]", None),
         "inputs:skin:weights:basis:wavelengths": ("double[]", None),
         "inputs:skin:texcoord": ("token", "st"),
+        "inputs:skin:normal:file": ("asset", None),
+        "inputs:skin:bump:file": ("asset", None),
+        "inputs:skin:bump:depth": ("float", 0.0001),
+        "inputs:skin:displacement:file": ("asset", None),
+        "inputs:skin:displacement:scale": ("float", 0.001),
+        "inputs:skin:displacement:midLevel": ("float", 0.5),
+        "inputs:skin:specular:weight:file": ("asset", None),
+        "inputs:skin:specular:roughness:file": ("asset", None),
         "inputs:skin:specular:weight": ("float", 0.0),
         "inputs:skin:specular:roughness1": ("float", 0.5),
         "inputs:skin:specular:roughness2": ("float", 0.3),
@@ -293,6 +301,8 @@ TOKENS = {
 
 UNIT_INTERVAL = (0.0, 1.0)
 NOT_NEGATIVE = (0.0, None)
+UNLIMITED = ("inputs:skin:bump:depth", "inputs:skin:displacement:scale",
+             "inputs:skin:displacement:midLevel")  # fmt: skip
 LIMITS = {
     "inputs:spectral:scale": NOT_NEGATIVE,
     "condition": (1.0, None),
@@ -482,11 +492,11 @@ def test_numbers_have_their_limits(stage: Usd.Stage, schema: str) -> None:
 
 
 def test_scalars_without_limits_are_none_but_listed_ones() -> None:
-    """A number may be unlimited only where every value makes sense; today none is."""
+    """A number may be unlimited only where every value makes sense."""
     for attributes in ATTRIBUTES.values():
         for name, (kind, _) in attributes.items():
             if kind in ("float", "double", "int"):
-                assert name in LIMITS, name
+                assert (name in LIMITS) != (name in UNLIMITED), name
 
 
 def test_schemas_fit_only_the_prims_they_are_for(stage: Usd.Stage, schema: str) -> None:

@@ -10,7 +10,7 @@ class Note:
     """One thing in a stage that the picture does not show."""
 
     code: str
-    """Stable kebab-case name, such as ``normal-map-ignored``."""
+    """Stable kebab-case name, such as ``displacement-ignored``."""
 
     path: str
     """Prim path, or file, it was found at."""

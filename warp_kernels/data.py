@@ -85,7 +85,7 @@ def _data_kernel(
         )
         if not hit.result:
             break
-        point = surface_point(geometry, ray, hit.face, hit.u, hit.v, start + hit.t)
+        point = surface_point(geometry, materials, ray, hit.face, hit.u, hit.v, start + hit.t)
         if surface_opacity(geometry, materials, point) > 0.5:
             tile.face[pixel] = hit.face
             tile.normal[pixel] = point.normal

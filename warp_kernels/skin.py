@@ -25,6 +25,8 @@ from usdskin.warp_kernels.structs import (
     INPUT_CLEARCOAT_ROUGHNESS,
     INPUT_EMISSION,
     INPUT_LOBES,
+    INPUT_LUSTRE,
+    INPUT_LUSTRE_ROUGHNESS,
     INPUT_METALLIC,
     INPUT_ROUGHNESS,
     INPUT_SPECULAR,
@@ -48,9 +50,11 @@ class Point:
     barycentric: wp.vec3f
     position: wp.vec3f
     normal: wp.vec3f
-    """Unit shading normal, turned to the viewer's side."""
+    """Unit shading normal, maps included, turned to the viewer's side."""
     geometric: wp.vec3f
-    """Unit normal of the triangle, on the viewer's side."""
+    """Unit normal of its triangle, turned to the viewer's side."""
+    relief_variance: wp.float32
+    """Variance of slopes of the maps' relief that the footprint holds, over both axes [1]."""
     prim: wp.int32
     """Index of its mesh."""
     view: wp.vec3f
@@ -323,7 +327,7 @@ def reflect_skin(
     r.nv = wp.max(wp.dot(point.normal, point.view), 1.0e-4)
     r.diffuse = weight
     if (materials.flags[m] & 4) != 0:
-        lobes = materials.constant[m, INPUT_LOBES]
+        lobes = skin_lobes(geometry, materials, point)
         r.f0 = materials.constant[m, INPUT_SPECULAR][0]
         r.alpha = lobes[1]
         r.second_alpha = lobes[2]
@@ -338,6 +342,33 @@ def reflect_skin(
         thickness = read_input(geometry, materials, point, INPUT_THICKNESS)[0]
         r.entry = passage_entry(materials, m, thickness)
     return r
+
+
+@wp.func
+def widened(alpha: wp.float32, point: Point) -> wp.float32:
+    """Return a GGX alpha with the relief below the footprint: alpha^2 is a variance of slopes."""
+    if point.relief_variance <= 0.0:
+        return alpha
+    return wp.min(wp.sqrt(alpha * alpha + point.relief_variance), 1.0)
+
+
+@wp.func
+def skin_lobes(geometry: Geometry, materials: Materials, point: Point) -> wp.vec4f:
+    """Return the lustre of skin: its weight, GGX alpha of both lobes, share of the second."""
+    m = point.material
+    lobes = materials.constant[m, INPUT_LOBES]
+    if materials.slot[m, INPUT_LUSTRE] >= 0:
+        lobes[0] = wp.clamp(read_input(geometry, materials, point, INPUT_LUSTRE)[0], 0.0, 1.0)
+    if materials.slot[m, INPUT_LUSTRE_ROUGHNESS] >= 0:
+        rough = read_input(geometry, materials, point, INPUT_LUSTRE_ROUGHNESS)[0]
+        rough = wp.clamp(rough, 0.0, 1.0)
+        ratio = materials.constant[m, INPUT_LUSTRE_ROUGHNESS][0]
+        second = wp.min(rough * ratio, 1.0)
+        lobes[1] = rough * rough
+        lobes[2] = second * second
+    lobes[1] = widened(lobes[1], point)
+    lobes[2] = widened(lobes[2], point)
+    return lobes
 
 
 @wp.func
@@ -420,12 +451,12 @@ def reflect_preview_surface(
         coat = read_input(geometry, materials, point, INPUT_CLEARCOAT)[0]
         rough = read_input(geometry, materials, point, INPUT_CLEARCOAT_ROUGHNESS)[0]
         r.coat = weight * coat
-        r.coat_alpha = rough * rough
+        r.coat_alpha = widened(rough * rough, point)
         response = lookup_fresnel(lights, r.coat_alpha, r.nv)
         solid = solid * (1.0 - coat * (0.04 * response[0] + response[1]))
         shine = shine * (1.0 - coat * (0.04 * response[0] + response[1]))
     rough = read_input(geometry, materials, point, INPUT_ROUGHNESS)[0]
-    r.alpha = rough * rough
+    r.alpha = widened(rough * rough, point)
     r.second_alpha = r.alpha
     tint = read_input(geometry, materials, point, INPUT_SPECULAR)
     highest = wp.max(tint[0], wp.max(tint[1], tint[2]))

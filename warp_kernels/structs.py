@@ -20,6 +20,11 @@ class Geometry:
     corner_value: wp.array2d[wp.vec4f]
     """Primvars per triangle corner, shape [primvar_count, 3 triangle_count]."""
 
+    corner_frame: wp.array2d[wp.vec4f]
+    """What turns the axes of normal and height maps into directions, per triangle corner: tangent
+    and sign of the bitangent, or the gradients of s and of t [1/m] in two rows, shape [frame_count,
+    3 triangle_count]."""
+
     material: wp.array[wp.int32]
     """Material index, shape [triangle_count]."""
 
@@ -259,4 +264,8 @@ INPUT_OPACITY = wp.constant(7)
 INPUT_EMISSION = wp.constant(8)
 INPUT_THICKNESS = wp.constant(9)
 INPUT_LOBES = wp.constant(10)
-INPUT_COUNT = 11
+INPUT_NORMAL = wp.constant(11)
+INPUT_BUMP = wp.constant(12)
+INPUT_LUSTRE = wp.constant(13)
+INPUT_LUSTRE_ROUGHNESS = wp.constant(14)
+INPUT_COUNT = 15

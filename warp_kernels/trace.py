@@ -212,7 +212,7 @@ def _trace_kernel(
             if face < 0:
                 break
             distance = start + at[2]
-            point = surface_point(geometry, ray, face, at[0], at[1], distance)
+            point = surface_point(geometry, materials, ray, face, at[0], at[1], distance)
             opacity = surface_opacity(geometry, materials, point)
             if point.material != current:
                 _finish(materials, film, trace, pixel, current)

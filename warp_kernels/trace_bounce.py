@@ -62,7 +62,7 @@ def bounce(
     hit = wp.mesh_query_ray(geometry.mesh, ray.origin, toward, FAR)
     if not hit.result:
         return 0.0
-    other = surface_point(geometry, ray, hit.face, hit.u, hit.v, hit.t)
+    other = surface_point(geometry, materials, ray, hit.face, hit.u, hit.v, hit.t)
     opacity = surface_opacity(geometry, materials, other)
     h = other.material
     passes = int(1)

@@ -59,6 +59,24 @@ class SkinParameters:
     texcoord: str = "st"
     """Primvar with the texture coordinates."""
 
+    normal_file: Path | None = None
+    """Tangent-space normal map, (n + 1) / 2."""
+
+    bump_file: Path | None = None
+    """Height map in R."""
+
+    bump_depth: float = 0.0001
+    """Height of a value of 1 in it [m]."""
+
+    displacement_file: Path | None = None
+    """Displacement map in R."""
+
+    displacement_scale: float = 0.001
+    """Way of a value of 1 above the mid level [m]."""
+
+    displacement_mid_level: float = 0.5
+    """Value of no displacement [1]."""
+
     specular_weight: float = 0.0
     """Strength of the specular reflection [1]."""
 
@@ -70,6 +88,12 @@ class SkinParameters:
 
     mix: float = 0.3
     """Share of the second lobe [1]."""
+
+    specular_weight_file: Path | None = None
+    """Texture that takes the place of ``specular_weight``."""
+
+    specular_roughness_file: Path | None = None
+    """Texture that takes the place of ``roughness1``; ``roughness2`` keeps its ratio to it."""
 
     f0: float = 0.028
     """Reflectance of the surface at normal incidence [1]."""
@@ -87,6 +111,14 @@ _FIELDS = {
     "weights_file": "inputs:skin:weights:file",
     "weights_wavelength_nm": "inputs:skin:weights:basis:wavelengths",
     "texcoord": "inputs:skin:texcoord",
+    "normal_file": "inputs:skin:normal:file",
+    "bump_file": "inputs:skin:bump:file",
+    "bump_depth": "inputs:skin:bump:depth",
+    "displacement_file": "inputs:skin:displacement:file",
+    "displacement_scale": "inputs:skin:displacement:scale",
+    "displacement_mid_level": "inputs:skin:displacement:midLevel",
+    "specular_weight_file": "inputs:skin:specular:weight:file",
+    "specular_roughness_file": "inputs:skin:specular:roughness:file",
     "specular_weight": "inputs:skin:specular:weight",
     "roughness1": "inputs:skin:specular:roughness1",
     "roughness2": "inputs:skin:specular:roughness2",

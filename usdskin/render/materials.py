@@ -10,21 +10,23 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from usdskin.errors import LayerError
 from usdskin.layers import describe
 from usdskin.notes import Note
 from usdskin.prims import SkinParameters, check_applied_schemas, read_skin, read_spectrum
 from usdskin.render.inputs import Color, Input, PrimvarInput, TextureInput
-from usdskin.render.networks import FALLBACKS, NetworkReader, surface_of
+from usdskin.render.networks import FALLBACKS, NetworkReader, find_surface, surface_of
 from usdskin.spectrum import SpectralQuantity, Spectrum
 
 # isort: split
 # After ours, which register the schemas.
-from pxr import Usd, UsdShade
+from pxr import Usd, UsdGeom, UsdShade
 
 __all__ = [
     "Color",
+    "Displacement",
     "Input",
     "PrimvarInput",
     "SkinMaterial",
@@ -45,6 +47,17 @@ WEIGHTS_LIMIT = 8
 
 DISPLAY_COLOR = (0.18, 0.18, 0.18)
 """Grey of geometry without displayColor, the fallback of ``UsdPreviewSurface.diffuseColor``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Displacement:
+    """How far vertices move along their normal."""
+
+    amount: Input
+    """Way, in ``unit``."""
+
+    unit: float
+    """What 1 stands for [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +103,12 @@ class SurfaceMaterial:
     ior: float = 1.5
     """Index of refraction [1]."""
 
+    normal: Input | None = None
+    """Normal in tangent space [1]; None for that of the geometry."""
+
+    displacement: Displacement | None = None
+    """None where the surface stays where it is."""
+
     reflectance: Spectrum | None = None
     """Spectral reflectance that takes the place of ``diffuse_color`` [1]."""
 
@@ -107,6 +126,7 @@ class SurfaceMaterial:
             self.clearcoat,
             self.clearcoat_roughness,
             self.opacity,
+            *_shape_inputs(self.normal, self.displacement),
         )
 
 
@@ -129,17 +149,45 @@ class SkinMaterial:
     weights_high: TextureInput | None = None
     """Texture of the weights from the fifth to the eighth, where the basis has so many."""
 
+    normal: Input | None = None
+    """Normal in tangent space [1]; None for that of the geometry."""
+
+    bump: TextureInput | None = None
+    """Height above the surface [``parameters.bump_depth``]."""
+
+    displacement: Displacement | None = None
+    """None where the surface stays where it is."""
+
+    lustre: TextureInput | None = None
+    """Texture of ``parameters.specular_weight``."""
+
+    lustre_roughness: TextureInput | None = None
+    """Texture of ``parameters.roughness1``."""
+
     thickness_primvar: str | None = None
     """Primvar that wins over ``parameters.thickness``; None where the thickness has no effect."""
 
+    @property
+    def is_lustrous(self) -> bool:
+        """Whether there is a specular reflection anywhere."""
+        return self.lustre is not None or self.parameters.specular_weight > 0.0
+
     def inputs(self) -> tuple[Input, ...]:
         """Return all inputs that may vary over the surface."""
-        found: list[Input] = [
-            item for item in (self.albedo, self.weights, self.weights_high) if item is not None
-        ]
+        textures = (
+            self.albedo, self.weights, self.weights_high, self.bump, self.lustre,
+            self.lustre_roughness,
+        )  # fmt: skip
+        found: list[Input] = [item for item in textures if item is not None]
+        found += _shape_inputs(self.normal, self.displacement)
         if self.thickness_primvar is not None:
             found.append(PrimvarInput(self.thickness_primvar, (self.parameters.thickness,)))
         return tuple(found)
+
+
+def _shape_inputs(normal: Input | None, displacement: Displacement | None) -> list[Input]:
+    found = [] if normal is None else [normal]
+    return found if displacement is None else [*found, displacement.amount]
 
 
 def display_material() -> SurfaceMaterial:
@@ -248,20 +296,20 @@ def _read_material(
         )
     check_applied_schemas(prim)
     if prim.HasAPI("SkinMaterialAPI"):
-        return _read_skin_material(prim, time, notes)
+        return _read_skin_material(prim, time, reader, notes)
     surface = surface_of(reader, prim)
     if surface is None:
         return dataclasses.replace(display_material(), path=path)
     reflectance = read_spectrum(prim, "reflectance", time, (SpectralQuantity.REFLECTANCE,))
-    return _read_surface(path, surface, reader, reflectance)
+    return _read_surface(prim, surface, reader, reflectance)
 
 
 def _read_surface(
-    path: str, surface: UsdShade.Shader, reader: NetworkReader, reflectance: Spectrum | None
+    prim: Usd.Prim, surface: UsdShade.Shader, reader: NetworkReader, reflectance: Spectrum | None
 ) -> SurfaceMaterial:
     reader.note_unshown(surface)
     return SurfaceMaterial(
-        path=path,
+        path=str(prim.GetPath()),
         use_specular_workflow=reader.whole(surface, "useSpecularWorkflow") != 0,
         diffuse_color=reader.color(surface, "diffuseColor"),
         specular_color=reader.color(surface, "specularColor"),
@@ -276,12 +324,21 @@ def _read_surface(
         ),
         opacity_threshold=reader.constant(surface, "opacityThreshold", 0.0, 1.0),
         ior=reader.constant(surface, "ior", 0.0, 100.0),
+        normal=reader.normal(surface),
+        displacement=_preview_displacement(prim, reader),
         reflectance=reflectance,
     )
 
 
+def _preview_displacement(prim: Usd.Prim, reader: NetworkReader) -> Displacement | None:
+    """Return the displacement of a Material's UsdPreviewSurface, which is in the stage's units."""
+    amount = reader.displacement(prim)
+    unit = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
+    return None if amount is None else Displacement(amount, unit)
+
+
 def _read_skin_material(
-    prim: Usd.Prim, time: Usd.TimeCode | float, notes: list[Note]
+    prim: Usd.Prim, time: Usd.TimeCode | float, reader: NetworkReader, notes: list[Note]
 ) -> SkinMaterial:
     parameters = read_skin(prim, time)
     path = str(prim.GetPath())
@@ -296,18 +353,67 @@ def _read_skin_material(
             "remove one of them"
         )
     if parameters.albedo_file is not None:
-        albedo = TextureInput(
-            str(parameters.albedo_file),
-            source_color_space=parameters.albedo_color_space,
-            wrap_s="repeat",
-            wrap_t="repeat",
-            primvar=parameters.texcoord,
-        )
+        encoding = parameters.albedo_color_space
+        albedo = _skin_texture(parameters, parameters.albedo_file, "rgb", encoding=encoding)
     weights, high = _weights(prim, parameters)
     # Without opacity light from behind passes unweakened, however long its way.
     opaque = isinstance(parameters.opacity, Spectrum) or parameters.opacity > 0.0
     thickness = THICKNESS_PRIMVAR if opaque else None
-    return SkinMaterial(path, parameters, albedo, weights, high, thickness)
+    return SkinMaterial(
+        path,
+        parameters,
+        albedo,
+        weights,
+        high,
+        _skin_normal(prim, parameters, reader),
+        _skin_texture(parameters, parameters.bump_file) if parameters.bump_depth else None,
+        _skin_displacement(prim, parameters, reader),
+        _skin_texture(parameters, parameters.specular_weight_file),
+        _skin_texture(parameters, parameters.specular_roughness_file),
+        thickness,
+    )
+
+
+def _skin_texture(
+    skin: SkinParameters,
+    file: Path | None,
+    channel: str = "r",
+    scale: float = 1.0,
+    bias: float = 0.0,
+    encoding: str = "raw",
+) -> TextureInput | None:
+    """Return a texture of a skin at its own coordinates; None where there is no file."""
+    if file is None:
+        return None
+    return TextureInput(
+        str(file),
+        channel,
+        encoding,
+        scale=(scale, scale, scale, 1.0),
+        bias=(bias, bias, bias, 0.0),
+        wrap_s="repeat",
+        wrap_t="repeat",
+        primvar=skin.texcoord,
+    )
+
+
+def _skin_normal(prim: Usd.Prim, skin: SkinParameters, reader: NetworkReader) -> Input | None:
+    """Return the normal map of a skin, else that of the UsdPreviewSurface beside it."""
+    if skin.normal_file is not None:
+        return _skin_texture(skin, skin.normal_file, "rgb", scale=2.0, bias=-1.0)
+    surface = find_surface(reader, prim)
+    return None if surface is None else reader.normal(surface)
+
+
+def _skin_displacement(
+    prim: Usd.Prim, skin: SkinParameters, reader: NetworkReader
+) -> Displacement | None:
+    """Return the displacement of a skin, else that of the UsdPreviewSurface beside it."""
+    if skin.displacement_file is None:
+        return _preview_displacement(prim, reader)
+    amount = _skin_texture(skin, skin.displacement_file, bias=-skin.displacement_mid_level)
+    assert amount is not None
+    return Displacement(amount, skin.displacement_scale)
 
 
 def _weights(

@@ -7,7 +7,7 @@ each is in the ``mesh_*`` modules beside this one; here they come together.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,25 @@ from pxr import Usd, UsdGeom
 _BYTES_PER_TRIANGLE = 450
 """Memory that reading a subdivided mesh takes at its peak, per triangle [B]: 418 measured, with one
 face-varying primvar."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What turns a texture's axes into directions on a surface."""
+
+    kind: str
+    """``tangent``: one row, tangent and sign; ``gradient``: two, the gradients of s and t [1/m]."""
+
+    primvar: str
+    """Primvar with the texture coordinates."""
+
+    matrix: tuple[tuple[float, ...], ...]
+    """Map from the primvar to the picture's coordinates [1], shape [2, 3]."""
+
+    @property
+    def row_count(self) -> int:
+        """Number of rows."""
+        return 1 if self.kind == "tangent" else 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +85,10 @@ class MeshArrays:
 
     closed: bool
     """Whether the surface encloses a volume: every edge joins exactly two faces, wound alike."""
+
+    frames: dict[Frame, NDArray[np.float32]] = field(default_factory=dict)
+    """Rows of the frames that the materials' maps lie along, shapes [row_count, triangle_count, 3,
+    4]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,9 +6,12 @@ UsdPrimvarReader and UsdTransform2d.
 
 from __future__ import annotations
 
+import dataclasses
+import math
+
 from usdskin.notes import Note
 from usdskin.render.connections import Network, is_node_output, shader_name
-from usdskin.render.inputs import Color, Input
+from usdskin.render.inputs import Color, Input, TextureInput
 from usdskin.render.texture_nodes import READERS, read_primvar_node, read_texture_node
 
 # isort: split
@@ -28,8 +31,18 @@ FALLBACKS: dict[str, float | str | Color] = {
     "opacityMode": "transparent",
     "opacityThreshold": 0.0,
     "ior": 1.5,
+    "normal": (0.0, 0.0, 1.0),
+    "displacement": 0.0,
 }
 """Fallbacks of UsdPreviewSurface."""
+
+
+def find_surface(reader: NetworkReader, prim: Usd.Prim) -> UsdShade.Shader | None:
+    """Return the UsdPreviewSurface of a Material, or None where it has none."""
+    output = UsdShade.Material(prim).GetSurfaceOutput()
+    source = reader.follow(output.GetAttr()) if output else None
+    shader = UsdShade.Shader(source.GetPrim()) if source and is_node_output(source) else None
+    return shader if shader and shader.GetShaderId() == "UsdPreviewSurface" else None
 
 
 def surface_of(reader: NetworkReader, prim: Usd.Prim) -> UsdShade.Shader | None:
@@ -74,32 +87,77 @@ class NetworkReader(Network):
         """Note what a material has besides a surface."""
         if material.GetVolumeOutput().HasConnectedSource():
             self.note("volume-ignored", material.GetPrim(), "a volume is connected; not shown")
-        for output in material.GetDisplacementOutputs():
-            source = self.follow(output.GetAttr())
-            if not is_node_output(source):
-                continue
-            shader = UsdShade.Shader(source.GetPrim())
-            flat = shader.GetShaderId() == "UsdPreviewSurface" and not self._displaces(shader)
-            if not flat:
-                what = "a displacement is connected; the surface stays where it is"
-                self.note("displacement-ignored", material.GetPrim(), what)
-
-    def _displaces(self, shader: UsdShade.Shader) -> bool:
-        source = self.source(shader, "displacement")
-        return source is not None and (is_node_output(source) or bool(self.value(source)))
 
     def note_unshown(self, shader: UsdShade.Shader) -> None:
         """Note inputs of a UsdPreviewSurface that have no effect here."""
-        normal = self.source(shader, "normal")
-        if normal is not None and is_node_output(normal):
-            what = "inputs:normal is connected; the geometry's own normals are shown"
-            self.note("normal-map-ignored", shader.GetPrim(), what)
         occlusion = self.source(shader, "occlusion")
         if occlusion is not None and (
             is_node_output(occlusion) or self.value(occlusion) not in (None, 1.0)
         ):
             what = "inputs:occlusion is set; no baked occlusion is shown"
             self.note("occlusion-ignored", shader.GetPrim(), what)
+
+    def normal(self, shader: UsdShade.Shader) -> Input | None:
+        """Return the normal of a UsdPreviewSurface in tangent space; None where it is (0, 0, 1).
+
+        Raises:
+            LayerError: Its value is no vector, or what it comes from cannot be read.
+        """
+        source = self.source(shader, "normal")
+        if source is None:
+            return None
+        if is_node_output(source):
+            node = self._node(shader, "normal", source, 3)
+            if isinstance(node, TextureInput):
+                return self._raw(node, UsdShade.Shader(source.GetPrim()))
+            if node is not None:
+                return node
+            source = shader.GetInput("normal").GetAttr()
+            if not source.HasAuthoredValue():
+                return None
+        x, y, z = self.numbers(source, 3)
+        return None if x == y == 0.0 else (x, y, z)
+
+    def _raw(self, value: TextureInput, node: UsdShade.Shader) -> TextureInput:
+        """Return a normal map read as it is: a normal is no color."""
+        decoded = value.source_color_space not in ("raw", "auto")
+        if decoded or (value.source_color_space == "auto" and not value.file.endswith(".exr")):
+            what = f"sourceColorSpace is {value.source_color_space}; a normal map is shown as raw"
+            self.note("normal-map-not-raw", node.GetPrim(), what)
+        return dataclasses.replace(value, source_color_space="raw")
+
+    def displacement(self, prim: Usd.Prim) -> Input | None:
+        """Return the displacement of a Material [stage units]; None, or a note, where it has none.
+
+        It counts where the Material's outputs:displacement is connected to a UsdPreviewSurface.
+
+        Raises:
+            LayerError: Its value is no number, or what it comes from cannot be read.
+        """
+        outputs = UsdShade.Material(prim).GetDisplacementOutputs()
+        sources = [self.follow(output.GetAttr()) for output in outputs]
+        shaders = [UsdShade.Shader(item.GetPrim()) for item in sources if is_node_output(item)]
+        for shader in shaders:
+            if shader.GetShaderId() == "UsdPreviewSurface":
+                return self._displacement(shader)
+        surface = find_surface(self, prim)
+        if shaders:
+            what = f"a displacement by {shader_name(shaders[0])} is connected"
+        elif surface is not None and self._displacement(surface) is not None:
+            what = "inputs:displacement is set, but not the Material's outputs:displacement"
+        else:
+            return None
+        self.note("displacement-ignored", prim, f"{what}; the surface stays where it is")
+        return None
+
+    def _displacement(self, shader: UsdShade.Shader) -> Input | None:
+        source = self.source(shader, "displacement")
+        if source is not None and is_node_output(source):
+            node = self._node(shader, "displacement", source, 1)
+            if node is not None:
+                return node
+        value = self.constant(shader, "displacement", -math.inf, math.inf)
+        return value if value != 0.0 else None
 
     def color(self, shader: UsdShade.Shader, name: str) -> Input:
         """Return a color input of a UsdPreviewSurface.

@@ -18,6 +18,7 @@ from usdskin.device import Workers
 from usdskin.errors import LayerError
 from usdskin.layers import describe
 from usdskin.notes import Note
+from usdskin.render.detail import add_detail, detail_primvars, frames_of
 from usdskin.render.gloss import LADDER, add_reflections, show_domes
 from usdskin.render.gprims import is_gprim, read_gprim, unsupported_note
 from usdskin.render.integrate import DeviceScene, Faces
@@ -116,7 +117,8 @@ def read_scene(
     materials = (*known.values(), display_material())
     index: dict[str | None, int] = {path: k for k, path in enumerate(known)}
     index[None] = len(materials) - 1
-    names = required_primvars(materials) | {"st"}
+    names = required_primvars(materials) | {"st"} | detail_primvars(materials)
+    shown = {path: materials[k] for path, k in index.items()}
     cache = UsdGeom.XformCache(time)
     scale = UsdGeom.GetStageMetersPerUnit(stage)
     meshes = []
@@ -125,7 +127,7 @@ def read_scene(
         reader = read_mesh if prim.IsA(UsdGeom.Mesh) else read_gprim
         mesh = reader(prim, time, to_world, settings.subdivision_level, names, material_of, notes)
         if mesh is not None and len(mesh.triangles):
-            meshes.append(mesh)
+            meshes.append(add_detail(mesh, shown, to_world, notes))
     frame = SpectralFrame(
         settings.wavelength_nm, settings.observer, lights.absolute, settings.color_space
     )
@@ -296,6 +298,9 @@ def _upload_geometry(
     material = np.zeros(max(count, 1), np.int32)
     prim = np.zeros(max(count, 1), np.int32)
     values = np.zeros((len(rows), max(3 * count, 3), 4), np.float32)
+    frames = frames_of(scene.materials)
+    frame_count = sum(frame.row_count for frame in frames)
+    frame_value = np.zeros((frame_count, max(3 * count, 3) if frames else 0, 4), np.float32)
     first_point = begin = 0
     for k, mesh in enumerate(scene.meshes):
         end = begin + len(mesh.triangles)
@@ -309,6 +314,9 @@ def _upload_geometry(
             values[row, 3 * begin : 3 * end] = _corner_values(
                 scene, mesh, name, material[begin:end]
             )
+        for frame, frame_rows in mesh.frames.items():
+            for k_row, frame_row in enumerate(frame_rows, frames[frame]):
+                frame_value[k_row, 3 * begin : 3 * end] = frame_row.reshape(-1, 4)
         first_point += len(mesh.points)
         begin = end
     if not count:  # nothing to hit, but the kernels need a mesh
@@ -324,6 +332,7 @@ def _upload_geometry(
     geometry.mesh = mesh.id
     geometry.corner_normal = wp.array(np.concatenate(normals), dtype=wp.vec3f, device=device)
     geometry.corner_value = wp.array(values, dtype=wp.vec4f, device=device)
+    geometry.corner_frame = wp.array(frame_value, dtype=wp.vec4f, device=device)
     geometry.material = wp.array(material, dtype=wp.int32, device=device)
     geometry.prim = wp.array(prim, dtype=wp.int32, device=device)
     return geometry, mesh, Faces(joined_points, joined_triangles, prim, material)

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from usdskin.colorimetry import Observer, illuminant, xyz_weights
 from usdskin.errors import LayerError
 from usdskin.prims import SkinParameters
+from usdskin.render.detail import bump_frame, normal_frame
 from usdskin.render.inputs import Input, PrimvarInput, TextureInput
 from usdskin.render.materials import SkinMaterial, SurfaceMaterial
+from usdskin.render.meshes import Frame
 from usdskin.spectrum import Spectrum, resample
 from usdskin.uplift import light_basis, reflectance_basis
 from usdskin.warp_kernels import structs
@@ -100,6 +102,8 @@ class MaterialRows:
     passage: Passage | None = None
     constant: FloatArray = field(default_factory=lambda: np.zeros((structs.INPUT_COUNT, 4)))
     inputs: dict[int, TextureInput | PrimvarInput] = field(default_factory=dict)
+    frames: dict[int, Frame] = field(default_factory=dict)
+    """Frames that maps lie along, by input."""
     weighs: bool = False
     """Whether the base inputs are basis weights, not a color."""
 
@@ -119,10 +123,14 @@ def gloss_alphas(
 ) -> tuple[float, ...]:
     """Return the GGX alphas to prefilter, ascending: those in use, or the ladder if they vary."""
     found: set[float] = set()
+    widens = False
     for material in materials:
+        widens |= _widens(material)
         if isinstance(material, SkinMaterial):
             skin = material.parameters
-            if skin.specular_weight > 0.0:
+            if material.is_lustrous and material.lustre_roughness is not None:
+                return ladder
+            if material.is_lustrous:
                 found |= {skin.roughness1**2, skin.roughness2**2}
         elif material.reflective:
             lobes = [material.roughness]
@@ -132,7 +140,17 @@ def gloss_alphas(
                 if not isinstance(roughness, float | int):
                     return ladder
                 found.add(float(roughness) ** 2)
-    return tuple(sorted(round(float(alpha), 6) for alpha in found))
+    if widens and found:
+        found |= {alpha for alpha in ladder if alpha > min(found)}
+    return tuple(sorted({round(float(alpha), 6) for alpha in found}))
+
+
+def _widens(material: SkinMaterial | SurfaceMaterial) -> bool:
+    """Return whether relief below the footprint widens a material's reflections."""
+    if isinstance(material, SkinMaterial) and material.bump is not None:
+        return material.is_lustrous
+    lustrous = material.is_lustrous if isinstance(material, SkinMaterial) else material.reflective
+    return lustrous and isinstance(material.normal, TextureInput)
 
 
 def dims(skin: SkinParameters) -> bool:
@@ -188,14 +206,37 @@ def skin_rows(
         row.inputs[structs.INPUT_THICKNESS] = PrimvarInput(
             material.thickness_primvar, (skin.thickness,)
         )
-    if skin.specular_weight > 0.0:
+    _add_detail(row, material)
+    if material.is_lustrous:
         row.flags |= GLOSSY
+        if material.lustre is not None:
+            row.inputs[structs.INPUT_LUSTRE] = material.lustre
+        if material.lustre_roughness is not None:
+            row.inputs[structs.INPUT_LUSTRE_ROUGHNESS] = material.lustre_roughness
+            ratio = skin.roughness2 / skin.roughness1 if skin.roughness1 > 0.0 else 1.0
+            row.constant[structs.INPUT_LUSTRE_ROUGHNESS, 0] = ratio
         row.constant[structs.INPUT_SPECULAR, 0] = skin.f0
         row.constant[structs.INPUT_LOBES] = (
             skin.specular_weight, skin.roughness1**2, skin.roughness2**2, skin.mix,
         )  # fmt: skip
         row.rows += list(light)
     return row
+
+
+def _add_detail(row: MaterialRows, material: SkinMaterial | SurfaceMaterial) -> None:
+    """Add the normal and height maps, and what they lie along."""
+    normal, frame = material.normal, normal_frame(material)
+    if frame is not None:
+        row.frames[structs.INPUT_NORMAL] = frame
+    if isinstance(normal, TextureInput | PrimvarInput):
+        row.inputs[structs.INPUT_NORMAL] = normal
+    elif isinstance(normal, tuple):
+        row.constant[structs.INPUT_NORMAL, :3] = normal
+    frame = bump_frame(material)
+    if frame is not None and isinstance(material, SkinMaterial) and material.bump is not None:
+        row.frames[structs.INPUT_BUMP] = frame
+        row.inputs[structs.INPUT_BUMP] = material.bump
+        row.constant[structs.INPUT_BUMP, 0] = material.parameters.bump_depth
 
 
 def _skin_bases(material: SkinMaterial, frame: SpectralFrame) -> FloatArray:
@@ -286,6 +327,7 @@ def preview_rows(
     if not isinstance(emission, tuple) or any(value != 0.0 for value in emission):
         row.flags |= EMISSIVE
         row.rows.append(_emission_rows(frame))
+    _add_detail(row, material)
     values: dict[int, Input] = {
         structs.INPUT_METALLIC: material.metallic,
         structs.INPUT_ROUGHNESS: material.roughness,

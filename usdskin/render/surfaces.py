@@ -14,8 +14,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from usdskin.colorimetry import illuminant, xyz_to_rgb, xyz_weights
+from usdskin.render.detail import check_normal_map, frames_of
 from usdskin.render.inputs import PrimvarInput, TextureInput
 from usdskin.render.materials import SkinMaterial, SurfaceMaterial
+from usdskin.render.relief import slopes, unit_normals
 from usdskin.render.surface_rows import (
     MaterialRows,
     SpectralFrame,
@@ -77,6 +79,10 @@ def build_surfaces(
         for material in materials
     ]
     rows.append(dome_rows(light_spectra))
+    first = frames_of(materials)
+    for row in rows:
+        for which, laid_along in row.frames.items():
+            row.constant[which, 3] = 1 + first[laid_along]  # 0 is no map
     sent = add_indirect_rows(rows) if bounces else np.zeros(len(rows) + 1, np.int32)
     surfaces = _upload(rows, frame, wraps, primvars, device)
     target = surfaces.device_materials
@@ -105,13 +111,14 @@ class _Slots:
     channel: list[int] = field(default_factory=list)
     matrix: list[NDArray[np.float64]] = field(default_factory=list)
 
-    def add(self, value: TextureInput | PrimvarInput, weight_count: int) -> int:
+    def add(self, value: TextureInput | PrimvarInput, weight_count: int, which: int) -> int:
         """Return the slot of an input; ``weight_count`` channels are weights, not a color."""
         if isinstance(value, PrimvarInput):
             self._append(-1, self.primvars[value.name], -1, np.eye(2, 3))
         else:
-            channel = _CHANNELS[value.channel]
-            texture = self._texture(value, weight_count)
+            # Slopes are read all together, whatever channel the height is in.
+            channel = -1 if which == structs.INPUT_BUMP else _CHANNELS[value.channel]
+            texture = self._texture(value, weight_count, which)
             matrix = np.asarray(value.st_matrix)
             self._append(texture, self.primvars[value.primvar], channel, matrix)
         return len(self.texture) - 1
@@ -122,24 +129,28 @@ class _Slots:
         self.channel.append(channel)
         self.matrix.append(matrix)
 
-    def _texture(self, value: TextureInput, weight_count: int) -> int:
-        key = (value.texture_key(), weight_count)
+    def _texture(self, value: TextureInput, weight_count: int, which: int) -> int:
+        relief = which if which in (structs.INPUT_NORMAL, structs.INPUT_BUMP) else None
+        key = (value.texture_key(), weight_count, relief, relief is not None and value.channel)
         if key not in self.known:
             first = value.first_channel
             channels = tuple(range(first, min(first + 4, weight_count))) if weight_count else None
             self.known[key] = len(self.textures)
-            self.textures.append(
-                read_texture(
-                    str(value.file),
-                    value.source_color_space,
-                    value.scale,
-                    value.bias,
-                    value.wrap_s,
-                    value.wrap_t,
-                    rendering_space=self.rendering_space,
-                    channels=channels,
-                )
+            texture = read_texture(
+                str(value.file),
+                value.source_color_space,
+                value.scale,
+                value.bias,
+                value.wrap_s,
+                value.wrap_t,
+                rendering_space=self.rendering_space,
+                channels=channels,
             )
+            if relief == structs.INPUT_NORMAL:
+                texture = unit_normals(texture)
+            elif relief == structs.INPUT_BUMP:
+                texture = slopes(texture, _CHANNELS[value.channel])
+            self.textures.append(texture)
         return self.known[key]
 
 
@@ -156,7 +167,9 @@ def _upload(
     for m, row in enumerate(rows):
         for which, value in row.inputs.items():
             weighed = row.weighs and which in (structs.INPUT_BASE, structs.INPUT_BASE_HIGH)
-            slot[m, which] = slots.add(value, len(row.bases) if weighed else 0)
+            slot[m, which] = slots.add(value, len(row.bases) if weighed else 0, which)
+            if which == structs.INPUT_NORMAL and isinstance(value, TextureInput):
+                check_normal_map(value)
     counts = np.array([len(row.rows) for row in rows], np.int32)
     spectra = np.concatenate([np.stack(row.rows) for row in rows])
     weights = xyz_weights(frame.wavelength_nm, frame.observer, frame.absolute)
