@@ -20,6 +20,7 @@ from usdskin.render.mesh_topology import FloatArray
 from usdskin.render.mesh_values import read_size, read_token
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.revolve import Shape, revolve
+from usdskin.render.skinning import Pose
 
 # isort: split
 # After ours, which register the schemas.
@@ -36,7 +37,6 @@ _UNSUPPORTED = {
     UsdGeom.Points: "points are not shown",
     UsdGeom.NurbsPatch: "NURBS patches are not shown; convert them to a mesh",
     UsdGeom.TetMesh: "tetrahedral meshes are not shown; convert their surface to a mesh",
-    UsdGeom.PointInstancer: "its instances are not shown; make them native instances",
     UsdVol.Volume: "volumes are not shown",
     UsdGeom.Gprim: "geometry of this type is not shown; convert it to a mesh",
 }
@@ -67,6 +67,7 @@ def read_gprim(
     primvar_names: Iterable[str],
     materials: BoundMaterial,
     notes: list[Note],
+    pose: Pose | None = None,
 ) -> MeshArrays | None:
     """Read a shape, as :func:`usdskin.render.meshes.read_mesh` reads a mesh.
 
@@ -81,6 +82,7 @@ def read_gprim(
         primvar_names: Primvars wanted, without ``primvars:``.
         materials: Gives the material path bound to a prim.
         notes: What is not shown as authored is appended.
+        pose: What a skeleton makes of it.
 
     Returns:
         The triangles, or None when the shape has no size or is of another type.
@@ -93,6 +95,8 @@ def read_gprim(
     if reader is None:
         return None
     where = describe(prim)
+    if pose is not None and pose.transform is not None:
+        to_world = to_world @ pose.transform
     mirrored = check_transform(to_world, where)
     shape = reader(prim, time)
     if shape is None or not len(shape.triangles):

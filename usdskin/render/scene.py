@@ -5,7 +5,6 @@ Reads: any stage. Makes: ``Scene``, which knows no USD, and from it ``DeviceScen
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -20,6 +19,8 @@ from usdskin.layers import describe
 from usdskin.notes import Note
 from usdskin.render.gloss import LADDER, add_reflections, show_domes
 from usdskin.render.gprims import is_gprim, read_gprim, unsupported_note
+from usdskin.render.instance_meshes import instance_meshes
+from usdskin.render.instancers import InstancerReader, Placed
 from usdskin.render.integrate import DeviceScene, Faces
 from usdskin.render.light_maps import (
     LightField,
@@ -40,6 +41,7 @@ from usdskin.render.materials import (
 )
 from usdskin.render.meshes import MeshArrays, read_mesh
 from usdskin.render.settings import RenderSettings
+from usdskin.render.skinning import PoseReader
 from usdskin.render.surface_rows import SpectralFrame, gloss_alphas, wraps_of
 from usdskin.render.surfaces import build_surfaces
 from usdskin.warp_kernels import structs
@@ -97,7 +99,8 @@ def read_scene(
             f"{stage.GetRootLayer().identifier}: no light shines; add a DomeLight or a "
             "DistantLight, or make one visible."
         )
-    prims = list(_visible_gprims(stage, time, settings, notes))
+    cache = UsdGeom.XformCache(time)
+    prims, placed = _visible_shapes(stage, time, settings, cache, notes)
     bindings: dict[str, str | None] = {}
 
     def material_of(prim: Usd.Prim) -> str | None:
@@ -107,40 +110,65 @@ def read_scene(
             notes.extend(binding_notes(prim))
         return bindings[path]
 
-    paths = _bound_paths(prims, material_of)
+    paths = _bound_paths([*prims, *(item.prim for item in placed)], material_of)
     known = read_materials(stage, paths, time, notes, settings.color_space)
     materials = (*known.values(), display_material())
     index: dict[str | None, int] = {path: k for k, path in enumerate(known)}
     index[None] = len(materials) - 1
     names = required_primvars(materials) | {"st"}
-    cache = UsdGeom.XformCache(time)
     scale = UsdGeom.GetStageMetersPerUnit(stage)
-    meshes = []
-    for prim in prims:
-        to_world = _to_world(prim, cache, scale)
+    poses = PoseReader(time, cache, notes)
+
+    def read(prim: Usd.Prim, matrix: NDArray[np.float64]) -> MeshArrays | None:
         reader = read_mesh if prim.IsA(UsdGeom.Mesh) else read_gprim
-        mesh = reader(prim, time, to_world, settings.subdivision_level, names, material_of, notes)
-        if mesh is not None and len(mesh.triangles):
-            meshes.append(mesh)
+        level = settings.subdivision_level
+        return reader(prim, time, matrix, level, names, material_of, notes, poses.of(prim))
+
+    found = (read(prim, _to_world(prim, cache, scale)) for prim in prims)
+    meshes = [mesh for mesh in found if mesh is not None and len(mesh.triangles)]
+    meshes += instance_meshes(
+        placed,
+        lambda item: read(item.prim, _in_meters(item.links[-1].to_root, scale)),
+        lambda instancer: _to_world(instancer, cache, scale),
+        scale,
+        names,
+        time,
+        notes,
+    )
     frame = SpectralFrame(
         settings.wavelength_nm, settings.observer, lights.absolute, settings.color_space
     )
     return Scene(tuple(meshes), materials, index, lights, frame)
 
 
-def _visible_gprims(
-    stage: Usd.Stage, time: Usd.TimeCode, settings: RenderSettings, notes: list[Note]
-) -> Iterable[Usd.Prim]:
-    """Yield the gprims to draw: visible, of a wanted purpose, inside the mask."""
-    purposes = {purpose for purpose in settings.purposes} | {"default"}
+def _visible_shapes(
+    stage: Usd.Stage,
+    time: Usd.TimeCode,
+    settings: RenderSettings,
+    cache: UsdGeom.XformCache,
+    notes: list[Note],
+) -> tuple[list[Usd.Prim], list[Placed]]:
+    """Return what to draw: visible, of a wanted purpose, inside the mask.
+
+    Returns:
+        The gprims, and what point instancers place.
+    """
+    purposes = frozenset(settings.purposes) | {"default"}
+    instancers = InstancerReader(time, purposes, notes, cache)
+    prims: list[Usd.Prim] = []
+    placed: list[Placed] = []
     walk = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
     for prim in walk:
-        if prim.IsA(UsdGeom.PointInstancer):  # what is below it are its prototypes
+        is_instancer = prim.IsA(UsdGeom.PointInstancer)
+        if is_instancer:  # what is below it are its prototypes
             walk.PruneChildren()
         if not prim.IsA(UsdGeom.Imageable) or not _in_mask(str(prim.GetPath()), settings.mask):
             continue
         imageable = UsdGeom.Imageable(prim)
         if imageable.ComputeVisibility(time) == UsdGeom.Tokens.invisible:
+            continue
+        if is_instancer:
+            placed += instancers.read(prim)
             continue
         if imageable.ComputePurpose() not in purposes:
             continue
@@ -148,7 +176,8 @@ def _visible_gprims(
         if note is not None:
             notes.append(note)
         elif is_gprim(prim):
-            yield prim
+            prims.append(prim)
+    return prims, placed
 
 
 def _to_world(prim: Usd.Prim, cache: UsdGeom.XformCache, scale: float) -> NDArray[np.float64]:
@@ -160,8 +189,13 @@ def _to_world(prim: Usd.Prim, cache: UsdGeom.XformCache, scale: float) -> NDArra
         raise LayerError(
             f"{describe(prim)}: its transform cannot be used: {reason}; correct its xformOps."
         ) from None
-    matrix[:3] *= scale
-    return matrix
+    return _in_meters(matrix, scale)
+
+
+def _in_meters(matrix: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
+    result = matrix.copy()
+    result[:3] *= scale
+    return result
 
 
 def _in_mask(path: str, mask: tuple[str, ...] | None) -> bool:

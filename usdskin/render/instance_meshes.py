@@ -1,0 +1,154 @@
+"""Meshes of point instances: one mesh read once, then moved to every place.
+
+Reads: the primvars of ``UsdGeomPointInstancer``, of which prototypes inherit one value each.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdskin.errors import DeviceError
+from usdskin.layers import describe
+from usdskin.notes import Note
+from usdskin.render.instancers import Link, Placed
+from usdskin.render.memory import available_bytes
+from usdskin.render.mesh_cage import to_meters
+from usdskin.render.mesh_limit import unit
+from usdskin.render.mesh_primvars import ElementCounts, read_primvar
+from usdskin.render.mesh_topology import FloatArray
+from usdskin.render.meshes import MeshArrays
+
+# isort: split
+# After ours, which register the schemas.
+from pxr import Sdf, Usd, UsdGeom
+
+_BYTES_PER_TRIANGLE = 600
+"""Memory that an instance's triangle takes until it is on the device [B], with two primvars."""
+
+_TURNED = [0, 2, 1]
+
+
+def instance_meshes(
+    placed: Sequence[Placed],
+    read: Callable[[Placed], MeshArrays | None],
+    to_world: Callable[[Usd.Prim], FloatArray],
+    scale: float,
+    names: Iterable[str],
+    time: Usd.TimeCode,
+    notes: list[Note],
+) -> Iterator[MeshArrays]:
+    """Yield the meshes of point instances, every one's triangles in world space.
+
+    Args:
+        placed: What the instancers place.
+        read: Reads a shape [m] in the space around its prototype.
+        to_world: Local to world [m] of an instancer.
+        scale: ``metersPerUnit``.
+        names: Primvars wanted, without ``primvars:``.
+        time: When.
+        notes: What is not shown as authored is appended.
+
+    Raises:
+        MeshError: A primvar of an instancer cannot be used, or an instance is too far away.
+        DeviceError: All instances together do not fit in memory.
+    """
+    meshes = [read(item) for item in placed]
+    _check_memory(placed, meshes)
+    for item, mesh in zip(placed, meshes, strict=True):
+        if mesh is None or not len(mesh.triangles):
+            continue
+        values = [(name, _inherited(item, name, time, notes)) for name in sorted(set(names))]
+        given = {name: found for name, found in values if found is not None}
+        outermost = item.links[0].instancer
+        matrices, paths, rows = item.expand(to_world(outermost))
+        where = describe(outermost)
+        # The innermost space is in stage units; the mesh is in metres.
+        matrices[:, :3, :3] /= scale
+        for k, path in enumerate(paths):
+            own = {name: data[rows[level][k]] for name, (level, data) in given.items()}
+            yield _moved(mesh, matrices[k], path, own, where)
+
+
+def _check_memory(placed: Sequence[Placed], meshes: Sequence[MeshArrays | None]) -> None:
+    sizes = [0 if mesh is None else len(mesh.triangles) for mesh in meshes]
+    triangles = sum(item.count * size for item, size in zip(placed, sizes, strict=True))
+    needed, there = triangles * _BYTES_PER_TRIANGLE, available_bytes()
+    if triangles <= np.iinfo(np.int32).max // 3 and (there is None or needed <= there):
+        return
+    most = max(range(len(placed)), key=lambda k: placed[k].count * sizes[k])
+    raise DeviceError(
+        f"{describe(placed[most].links[0].instancer)}: {sum(item.count for item in placed)} "
+        f"instances have {triangles} triangles, which need about {needed / 2**30:.0f} GiB; hide "
+        "some, use a lighter prototype or lower the subdivision level"
+    )
+
+
+def _moved(
+    mesh: MeshArrays,
+    matrix: FloatArray,
+    path: str,
+    primvars: dict[str, FloatArray],
+    where: str,
+) -> MeshArrays:
+    """Return a mesh moved by an affine matrix, shape [4, 4], with some primvars made constant."""
+    linear = matrix[:3, :3]
+    points = to_meters(mesh.points.astype(np.float64), matrix, where)
+    normals = unit(mesh.normals.reshape(-1, 3).astype(np.float64) @ np.linalg.inv(linear))
+    normals = normals.reshape(mesh.normals.shape)
+    triangles, values = mesh.triangles, dict(mesh.primvars)
+    if np.linalg.det(linear) < 0.0:
+        triangles, normals = triangles[:, _TURNED], normals[:, _TURNED]
+        values = {name: value[:, _TURNED] for name, value in values.items()}
+    shape = (len(triangles), 3)
+    for name, value in primvars.items():
+        flat: NDArray[np.float32] = value.astype(np.float32)
+        values[name] = np.broadcast_to(flat, (*shape, len(flat)))
+    return dataclasses.replace(
+        mesh,
+        path=path,
+        points=points.astype(np.float32),
+        triangles=triangles,
+        normals=normals.astype(np.float32),
+        primvars=values,
+    )
+
+
+def _inherited(
+    placed: Placed, name: str, time: Usd.TimeCode, notes: list[Note]
+) -> tuple[int, FloatArray] | None:
+    """Return which instancer gives a primvar, the innermost first, and its value by instance.
+
+    What a prototype says itself counts before that.
+    """
+    last = len(placed.links) - 1
+    if _says(placed.prim, placed.links[last].root.GetPath(), name):
+        return None
+    for level in range(last, -1, -1):
+        link = placed.links[level]
+        bounds = placed.links[level - 1].root.GetPath() if level else Sdf.Path.absoluteRootPath
+        if not _says(link.instancer, bounds, name):
+            continue
+        found = read_primvar(link.instancer, name, time, _counts(link), notes)
+        if found is None:
+            return None
+        values = found.of_elements()
+        if len(values) == link.count:
+            return level, values
+        return level, np.broadcast_to(values[:1], (link.count, values.shape[1]))
+    return None
+
+
+def _counts(link: Link) -> ElementCounts:
+    return ElementCounts(link.count, link.count, link.count)
+
+
+def _says(prim: Usd.Prim, bounds: Sdf.Path, name: str) -> bool:
+    """Return whether a prim has a primvar from itself or from an ancestor inside ``bounds``."""
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
+    if not primvar or not primvar.HasValue():
+        return False
+    return bool(primvar.GetAttr().GetPrim().GetPath().HasPrefix(bounds))
