@@ -1,13 +1,12 @@
 """Pose what is bound to a skeleton: joints, rigid parts and blend shapes.
 
-Reads: ``UsdSkelRoot``, ``UsdSkelBindingAPI``, ``UsdSkelAnimation`` and ``UsdSkelBlendShape``, at one
-moment. The sums over joints are USD's own (``UsdSkel.SkinPoints``: linear blending and dual
-quaternions); nothing is written to the stage, so that instances are posed like any other prim.
+Reads: ``UsdSkelRoot``, ``UsdSkelBindingAPI`` and ``UsdSkelAnimation``, at one moment. The sums over
+joints are USD's own (``UsdSkel.SkinPoints``: linear blending and dual quaternions); nothing is
+written to the stage, so that instances are posed like any other prim.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from usdskin.errors import MeshError
 from usdskin.layers import describe
 from usdskin.notes import Note
+from usdskin.render.blend_shapes import REMEDY, authored_normals, shaped
 from usdskin.render.mesh_topology import FloatArray, IndexArray
 from usdskin.render.mesh_values import read_numbers, read_points, read_whole_numbers
 
@@ -23,8 +23,6 @@ from usdskin.render.mesh_values import read_numbers, read_points, read_whole_num
 from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
 _PREDICATE = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded)
-
-_REMEDY = "export the character again, or remove its skel:skeleton"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +40,16 @@ class Pose:
 
     drops_normals: bool = False
     """Whether the authored normals fit the shape no more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bones:
+    """A skeleton as a shape is bound to it."""
+
+    prim: Usd.Prim
+    """The skeleton, in an instance its own and not the one that instances share."""
+
+    query: UsdSkel.SkeletonQuery
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +79,7 @@ class PoseReader:
     cache: UsdGeom.XformCache
     notes: list[Note]
     _skeletons: UsdSkel.Cache = field(default_factory=UsdSkel.Cache)
-    _bound: dict[str, UsdSkel.SkeletonQuery] = field(default_factory=dict)
+    _bound: dict[str, _Bones] = field(default_factory=dict)
     _roots: set[str] = field(default_factory=set)
 
     def of(self, prim: Usd.Prim) -> Pose | None:
@@ -87,17 +95,17 @@ class PoseReader:
                 self.notes.append(Note("skinning-ignored", str(prim.GetPath()), what))
             return None
         self._populate(root)
-        skeleton = self._bound.get(str(prim.GetPath()))
-        if skeleton is None:
+        bones = self._bound.get(str(prim.GetPath()))
+        if bones is None:
             _refuse_half_bound(prim)
             return None
         query = self._skeletons.GetSkinningQuery(prim)
         points = normals = None
         if prim.IsA(UsdGeom.PointBased):
-            shaped = _shaped(prim, query, skeleton, self.time)
-            if shaped is not None:
-                points, normals = shaped
-        influences = self._influences(prim, query, skeleton)
+            found = shaped(prim, query, bones.query, self.time)
+            if found is not None:
+                points, normals = found
+        influences = self._influences(prim, query, bones)
         if influences is None:
             return None if points is None else Pose(points, normals)
         if query.IsRigidlyDeformed() or not prim.IsA(UsdGeom.PointBased):
@@ -111,25 +119,19 @@ class PoseReader:
         self._roots.add(path)
         self._skeletons.Populate(root, _PREDICATE)
         for binding in self._skeletons.ComputeSkelBindings(root, _PREDICATE):
-            query = self._skeletons.GetSkelQuery(binding.GetSkeleton())
+            skeleton = binding.GetSkeleton()
+            bones = _Bones(skeleton.GetPrim(), self._skeletons.GetSkelQuery(skeleton))
             for target in binding.GetSkinningTargets():
-                self._bound[str(target.GetPrim().GetPath())] = query
+                self._bound[str(target.GetPrim().GetPath())] = bones
 
     def _influences(
-        self, prim: Usd.Prim, query: UsdSkel.SkinningQuery, skeleton: UsdSkel.SkeletonQuery
+        self, prim: Usd.Prim, query: UsdSkel.SkinningQuery, bones: _Bones
     ) -> _Influences | None:
         if not query.HasJointInfluences():
             _refuse_half_bound(prim)
             return None
         where = describe(prim)
-        transforms = skeleton.ComputeSkinningTransforms(self.time) if skeleton else None
-        if not transforms:
-            raise MeshError(
-                f"{describe(skeleton.GetPrim()) if skeleton else where}: its joints cannot be "
-                "posed: joints, bindTransforms and restTransforms must be as many as one "
-                f"another; {_REMEDY}"
-            )
-        joints = _mapped(query, transforms)
+        joints = _mapped(query, _joint_transforms(bones, self.time))
         if not np.isfinite(np.array(joints)).all():
             raise MeshError(f"{where}: a joint's transform is not finite; correct the animation")
         width = max(int(query.GetNumInfluencesPerComponent()), 1)
@@ -141,21 +143,21 @@ class PoseReader:
             if found != count * width:
                 raise MeshError(
                     f"{where}: skel:{name} has {found} values, but {count} x {width} are needed; "
-                    f"{_REMEDY}"
+                    f"{REMEDY}"
                 )
         wrong = (indices < 0) | (indices >= len(joints))
         if wrong.any():
             at = int(np.argmax(wrong))
             raise MeshError(
                 f"{where}: skel:jointIndices[{at}] is {indices[at]}, but there are {len(joints)} "
-                f"joints; {_REMEDY}"
+                f"joints; {REMEDY}"
             )
         if not np.isfinite(weights).all():
-            raise MeshError(f"{where}: skel:jointWeights are not all finite; {_REMEDY}")
+            raise MeshError(f"{where}: skel:jointWeights are not all finite; {REMEDY}")
         to_world = self.cache.GetLocalToWorldTransform(prim)
         if abs(to_world.GetDeterminant()) == 0.0:
             raise MeshError(f"{where}: its transform is singular; give it a scale that is not 0")
-        space = self.cache.GetLocalToWorldTransform(skeleton.GetPrim()) * to_world.GetInverse()
+        space = self.cache.GetLocalToWorldTransform(bones.prim) * to_world.GetInverse()
         return _Influences(
             str(query.GetSkinningMethod() or UsdSkel.Tokens.classicLinear),
             query.GetGeomBindTransform(self.time),
@@ -193,7 +195,7 @@ class PoseReader:
         )
         frame = influences.to_shape
         posed = np.array(moved, dtype=np.float64) @ frame[:3, :3].T + frame[:3, 3]
-        element, authored = _normals(prim, len(points), self.time)
+        element, authored = authored_normals(prim, len(points), self.time)
         if authored is None or element is None:
             return Pose(posed, drops_normals=authored is not None)
         if normals is not None and len(normals) == len(authored):
@@ -220,12 +222,42 @@ def _refuse_half_bound(prim: Usd.Prim) -> None:
     skeleton = binding.GetInheritedSkeleton()
     if not skeleton:
         raise MeshError(
-            f"{where}: is bound to joints, but skel:skeleton names no Skeleton; {_REMEDY}"
+            f"{where}: is bound to joints, but skel:skeleton names no Skeleton; {REMEDY}"
         )
     raise MeshError(
         f"{where}: its joint indices, weights or skeleton <{skeleton.GetPath()}> cannot be used "
-        f"together: both primvars need the same interpolation and elementSize; {_REMEDY}"
+        f"together: both primvars need the same interpolation and elementSize; {REMEDY}"
     )
+
+
+def _joint_transforms(bones: _Bones, time: Usd.TimeCode) -> Vt.Matrix4dArray:
+    """Return what moves each joint from the bind pose, in the skeleton's space."""
+    skeleton = bones.query
+    where = describe(bones.prim)
+    if not skeleton:
+        raise MeshError(f"{where}: its joints form no tree; {REMEDY}")
+    joints = [str(joint) for joint in skeleton.GetJointOrder()]
+    if not joints or len(set(joints)) < len(joints):
+        raise MeshError(f"{where}: joints must name every joint once; {REMEDY}")
+    animation = skeleton.GetAnimQuery()
+    moved = {str(joint) for joint in animation.GetJointOrder()} if animation else set()
+    lacks = [] if skeleton.HasBindPose() else ["bindTransforms"]
+    if not skeleton.HasRestPose() and not moved.issuperset(joints):
+        lacks.append("restTransforms")
+    if lacks:
+        raise MeshError(
+            f"{where}: {' and '.join(lacks)} must have a matrix for each of the {len(joints)} "
+            f"joints; {REMEDY}"
+        )
+    if moved and len(animation.ComputeJointLocalTransforms(time) or ()) != len(moved):
+        raise MeshError(
+            f"{describe(animation.GetPrim())}: translations, rotations and scales must each have "
+            f"{len(moved)} values, one for each of its joints; export the animation again"
+        )
+    transforms = skeleton.ComputeSkinningTransforms(time)
+    if not transforms or len(transforms) != len(joints):
+        raise MeshError(f"{where}: USD cannot pose it; {REMEDY}")
+    return transforms
 
 
 def _mapped(query: UsdSkel.SkinningQuery, transforms: Vt.Matrix4dArray) -> Vt.Matrix4dArray:
@@ -247,31 +279,6 @@ def _rigid(influences: _Influences) -> FloatArray:
         Vt.FloatArray.FromNumpy(influences.weights.astype(np.float32).reshape(-1)),
     )
     return influences.to_shape @ np.array(matrix, dtype=np.float64).T
-
-
-def _normals(
-    prim: Usd.Prim, point_count: int, time: Usd.TimeCode
-) -> tuple[IndexArray | None, FloatArray | None]:
-    """Return the point that each authored normal goes with, and the normals.
-
-    The points are None for normals that go with no point.
-    """
-    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
-    if primvar and primvar.HasValue():
-        values = np.array(primvar.ComputeFlattened(time) or (), dtype=np.float64).reshape(-1, 3)
-        interpolation = primvar.GetInterpolation()
-    else:
-        based = UsdGeom.PointBased(prim)
-        values = read_numbers(based.GetNormalsAttr(), time, 3)
-        interpolation = based.GetNormalsInterpolation()
-    if not len(values):
-        return None, None
-    element = np.arange(point_count)
-    if interpolation == UsdGeom.Tokens.faceVarying and prim.IsA(UsdGeom.Mesh):
-        element = read_whole_numbers(UsdGeom.Mesh(prim).GetFaceVertexIndicesAttr(), time)
-    known = (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying, UsdGeom.Tokens.faceVarying)
-    fits = interpolation in known and len(element) == len(values)
-    return (element if fits else None), values
 
 
 def _turned(
@@ -304,97 +311,4 @@ def _normal_matrix(matrix: Gf.Matrix4d) -> Gf.Matrix3d:
 
 def _require(worked: object, prim: Usd.Prim) -> None:
     if worked is False:
-        raise MeshError(f"{describe(prim)}: USD cannot skin it; {_REMEDY}")
-
-
-def _shaped(
-    prim: Usd.Prim,
-    query: UsdSkel.SkinningQuery,
-    skeleton: UsdSkel.SkeletonQuery,
-    time: Usd.TimeCode,
-) -> tuple[FloatArray, FloatArray | None] | None:
-    """Return points, and normals of points, moved by blend shapes; None where there are none."""
-    animation = skeleton.GetAnimQuery() if skeleton else None
-    if not query.HasBlendShapes() or not animation:
-        return None
-    weights = animation.ComputeBlendShapeWeights(time)
-    if weights is None:
-        return None
-    mapper = query.GetBlendShapeMapper()
-    if mapper is not None and not mapper.IsIdentity():
-        order = query.GetBlendShapeOrder()
-        weights = mapper.Remap(weights, Vt.FloatArray(len(order)))
-    where = describe(prim)
-    shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
-    if shapes.GetNumBlendShapes() != len(weights):
-        raise MeshError(
-            f"{where}: skel:blendShapes names {len(weights)} shapes, but skel:blendShapeTargets "
-            f"{shapes.GetNumBlendShapes()}; {_REMEDY}"
-        )
-    if not np.isfinite(np.array(weights)).all():
-        raise MeshError(f"{where}: a blend shape's weight is not finite; correct the animation")
-    points = read_points(UsdGeom.PointBased(prim).GetPointsAttr(), time)
-    element, normals = _normals(prim, len(points), time)
-    on_points = normals is not None and element is not None and len(normals) == len(points)
-    shares, owners, parts = shapes.ComputeSubShapeWeights(weights)
-    for share, owner, part in zip(shares, owners, parts, strict=True):
-        shape = shapes.GetBlendShape(int(owner))
-        inbetween = shapes.GetInbetween(int(part))
-        holder = inbetween if inbetween else shape
-        rows = _shape_rows(shape, len(points), where)
-        points = _added(points, share, _offsets(holder, "Offsets", shape, rows), rows)
-        if on_points and normals is not None:
-            offsets = _offsets(holder, "NormalOffsets", shape, rows)
-            normals = _added(normals, share, offsets, rows)
-    return points, normals if on_points else None
-
-
-def _shape_rows(shape: UsdSkel.BlendShape, count: int, where: str) -> IndexArray | None:
-    """Return the points that a blend shape moves; None for all."""
-    attribute = shape.GetPointIndicesAttr()
-    rows = read_whole_numbers(attribute, Usd.TimeCode.Default())
-    if not len(rows):
-        return None
-    if (rows < 0).any() or (rows >= count).any():
-        raise MeshError(
-            f"{describe(shape.GetPrim())}: pointIndices reach to {rows.max()}, but {where} has "
-            f"{count} points; {_REMEDY}"
-        )
-    return rows
-
-
-def _offsets(
-    holder: UsdSkel.BlendShape | UsdSkel.InbetweenShape,
-    kind: str,
-    shape: UsdSkel.BlendShape,
-    rows: IndexArray | None,
-) -> FloatArray | None:
-    if isinstance(holder, UsdSkel.InbetweenShape):
-        value = holder.GetOffsets() if kind == "Offsets" else holder.GetNormalOffsets()
-    else:
-        attribute = holder.GetOffsetsAttr() if kind == "Offsets" else holder.GetNormalOffsetsAttr()
-        value = attribute.Get()
-    if value is None or not len(value):
-        return None
-    offsets = np.array(value, dtype=np.float64).reshape(-1, 3)
-    if rows is not None and len(offsets) != len(rows):
-        raise MeshError(
-            f"{describe(shape.GetPrim())}: has {len(offsets)} offsets for {len(rows)} "
-            f"pointIndices; {_REMEDY}"
-        )
-    return offsets
-
-
-def _added(
-    values: FloatArray, share: float, offsets: FloatArray | None, rows: IndexArray | None
-) -> FloatArray:
-    if offsets is None:
-        return values
-    if rows is None and len(offsets) != len(values):
-        raise MeshError(
-            f"a blend shape has {len(offsets)} offsets for {len(values)} points; {_REMEDY}"
-        )
-    result = values.copy()
-    target: Sequence[int] | slice | IndexArray = slice(None) if rows is None else rows
-    result[target] += float(share) * offsets
-    return result
+        raise MeshError(f"{describe(prim)}: USD cannot skin it; {REMEDY}")
