@@ -44,6 +44,7 @@ from usdskin.render.settings import RenderSettings
 from usdskin.render.skinning import PoseReader
 from usdskin.render.surface_rows import SpectralFrame, gloss_alphas, wraps_of
 from usdskin.render.surfaces import build_surfaces
+from usdskin.render.udim import missing_tile_notes
 from usdskin.warp_kernels import structs
 
 # isort: split
@@ -135,6 +136,7 @@ def read_scene(
         time,
         notes,
     )
+    notes.extend(missing_tile_notes(meshes, materials, index))
     frame = SpectralFrame(
         settings.wavelength_nm, settings.observer, lights.absolute, settings.color_space
     )

@@ -23,7 +23,8 @@ from usdskin.render.surface_rows import (
     preview_rows,
     skin_rows,
 )
-from usdskin.render.textures import Texture, pack_textures, read_texture
+from usdskin.render.textures import Texture, read_texture
+from usdskin.render.udim import TiledTexture, is_tiled, pack_tiles, tile_files
 from usdskin.warp_kernels import structs
 
 FloatArray = NDArray[np.float64]
@@ -87,7 +88,7 @@ class _Slots:
 
     primvars: dict[str, int]
     rendering_space: str
-    textures: list[Texture] = field(default_factory=list)
+    textures: list[Texture | TiledTexture] = field(default_factory=list)
     known: dict[Hashable, int] = field(default_factory=dict)
     texture: list[int] = field(default_factory=list)
     primvar: list[int] = field(default_factory=list)
@@ -112,23 +113,32 @@ class _Slots:
         self.matrix.append(matrix)
 
     def _texture(self, value: TextureInput, weight_count: int) -> int:
-        key = (value.texture_key(), weight_count)
+        tiled = is_tiled(str(value.file))
+        key = (value.texture_key(), weight_count, value.fallback if tiled else None)
         if key not in self.known:
             first = value.first_channel
             channels = tuple(range(first, min(first + 4, weight_count))) if weight_count else None
-            self.known[key] = len(self.textures)
-            self.textures.append(
-                read_texture(
-                    str(value.file),
+
+            def read(file: str) -> Texture:
+                return read_texture(
+                    file,
                     value.source_color_space,
                     value.scale,
                     value.bias,
-                    value.wrap_s,
-                    value.wrap_t,
+                    "clamp" if tiled else value.wrap_s,
+                    "clamp" if tiled else value.wrap_t,
                     rendering_space=self.rendering_space,
                     channels=channels,
                 )
-            )
+
+            self.known[key] = len(self.textures)
+            if tiled:
+                fallback = (0.0, 0.0, 0.0, 0.0) if weight_count else value.fallback
+                files = tile_files(str(value.file))
+                tiles = {place: read(file) for place, file in sorted(files.items())}
+                self.textures.append(TiledTexture(str(value.file), tiles, fallback))
+            else:
+                self.textures.append(read(str(value.file)))
         return self.known[key]
 
 
@@ -175,7 +185,9 @@ def _upload(
     matrices = np.array(slots.matrix).reshape(-1, 2, 3)
     target.slot_matrix_u = floats(matrices[:, 0], wp.vec3f)
     target.slot_matrix_v = floats(matrices[:, 1], wp.vec3f)
-    packed = pack_textures(slots.textures)
+    tiles = pack_tiles(slots.textures)
+    packed = tiles.textures
+    target.texture_tile = ints(tiles.table)
     target.texel = floats(packed.texels, wp.vec4f)
     target.texture_border = floats(packed.borders, wp.vec4f)
     target.texture_level = wp.array(packed.levels, dtype=wp.vec3i, device=device)
