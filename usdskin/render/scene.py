@@ -51,6 +51,10 @@ from usdskin.warp_kernels import structs
 # After ours, which register the schemas.
 from pxr import Tf, Usd, UsdGeom
 
+_WITH_OWN_VISIBILITY = ("proxy", "render")
+"""Purposes that ``UsdGeomVisibilityAPI`` may hide; guides it hides unless told otherwise, but who
+asks for guides wants them."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
@@ -172,7 +176,11 @@ def _visible_shapes(
         if is_instancer:
             placed += instancers.read(prim)
             continue
-        if imageable.ComputePurpose() not in purposes:
+        purpose = imageable.ComputePurpose()
+        if purpose not in purposes or (
+            purpose in _WITH_OWN_VISIBILITY
+            and imageable.ComputeEffectiveVisibility(purpose, time) == UsdGeom.Tokens.invisible
+        ):
             continue
         note = unsupported_note(prim)
         if note is not None:

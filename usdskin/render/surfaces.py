@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from usdskin.colorimetry import illuminant, xyz_to_rgb, xyz_weights
 from usdskin.render.inputs import PrimvarInput, TextureInput
 from usdskin.render.materials import SkinMaterial, SurfaceMaterial
+from usdskin.render.memory import available_bytes
 from usdskin.render.surface_rows import (
     MaterialRows,
     SpectralFrame,
@@ -28,6 +29,9 @@ from usdskin.render.udim import TiledTexture, is_tiled, pack_tiles, tile_files
 from usdskin.warp_kernels import structs
 
 FloatArray = NDArray[np.float64]
+
+_TEXTURE_MB = 2048
+"""Most memory for one texture or tile [MiB]."""
 
 _CHANNELS = {"rgb": -1, "rgba": -1, "r": 0, "g": 1, "b": 2, "a": 3}
 
@@ -75,6 +79,12 @@ def build_surfaces(
     ]
     rows.append(dome_rows(light_spectra))
     return _upload(rows, frame, wraps, primvars, device)
+
+
+def _texture_limit_mb() -> int:
+    """Return how large the next texture may be [MiB]: it is copied once for the device."""
+    there = available_bytes()
+    return _TEXTURE_MB if there is None else min(_TEXTURE_MB, there // (2 * 2**20))
 
 
 def band_groups(bands: int) -> int:
@@ -129,6 +139,7 @@ class _Slots:
                     "clamp" if tiled else value.wrap_t,
                     rendering_space=self.rendering_space,
                     channels=channels,
+                    max_mb=_texture_limit_mb(),
                 )
 
             self.known[key] = len(self.textures)
