@@ -18,7 +18,7 @@ from usdskin.errors import LayerError
 from usdskin.layers import describe
 from usdskin.notes import Note
 from usdskin.render.gloss import LADDER, add_reflections, show_domes
-from usdskin.render.gprims import is_gprim, read_gprim, unsupported_note
+from usdskin.render.gprims import ROWS, is_gprim, read_gprim, unsupported_note
 from usdskin.render.instance_meshes import instance_meshes
 from usdskin.render.instancers import InstancerReader, Placed
 from usdskin.render.integrate import DeviceScene, Faces
@@ -124,16 +124,17 @@ def read_scene(
     scale = UsdGeom.GetStageMetersPerUnit(stage)
     poses = PoseReader(time, cache, notes)
 
-    def read(prim: Usd.Prim, matrix: NDArray[np.float64]) -> MeshArrays | None:
-        reader = read_mesh if prim.IsA(UsdGeom.Mesh) else read_gprim
-        level = settings.subdivision_level
-        return reader(prim, time, matrix, level, names, material_of, notes, poses.of(prim))
+    def read(prim: Usd.Prim, matrix: NDArray[np.float64], rows: int = ROWS) -> MeshArrays | None:
+        given = (settings.subdivision_level, names, material_of, notes, poses.of(prim))
+        if prim.IsA(UsdGeom.Mesh):
+            return read_mesh(prim, time, matrix, *given)
+        return read_gprim(prim, time, matrix, *given, rows)
 
     found = (read(prim, _to_world(prim, cache, scale)) for prim in prims)
     meshes = [mesh for mesh in found if mesh is not None and len(mesh.triangles)]
     meshes += instance_meshes(
         placed,
-        lambda item: read(item.prim, _in_meters(item.links[-1].to_root, scale)),
+        lambda item, rows: read(item.prim, _in_meters(item.links[-1].to_root, scale), rows),
         lambda instancer: _to_world(instancer, cache, scale),
         scale,
         names,
