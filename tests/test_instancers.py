@@ -164,6 +164,20 @@ def test_velocities_move_instances_between_samples(tmp_path):
     np.testing.assert_allclose(mesh.points, [(1, 0, 0), (1, 1, 0), (0, 0, 0)], atol=1e-3)
 
 
+def test_a_stage_without_frames_shows_moving_instances_where_they_start(tmp_path):
+    path = write_stage(
+        tmp_path,
+        many(
+            """rel prototypes = </Many/Leaf>
+    int[] protoIndices = [0]
+    point3f[] positions.timeSamples = {1: [(3, 0, 0)], 5: [(100, 0, 0)]}
+    vector3f[] velocities.timeSamples = {1: [(24, 0, 0)], 5: [(0, 0, 0)]}""",
+            triangle("Leaf"),
+        ),
+    )
+    np.testing.assert_allclose(read_stage(path)[0].meshes[0].points[0], (3, 0, 0))
+
+
 def test_positions_without_velocities_are_interpolated(tmp_path):
     samples = "point3f[] positions.timeSamples = {1: [(0, 0, 0)], 3: [(8, 0, 0)]}"
     base = "rel prototypes = </Many/Leaf>\n    int[] protoIndices = [0]"
@@ -305,6 +319,24 @@ def test_materials_of_prototypes_are_shown(tmp_path):
     paint = prim("Material", "Paint")
     scene, _ = read_text(tmp_path, many(THREE, leaf), paint)
     assert {mesh.material_paths for mesh in scene.meshes} == {("/Paint",)}
+
+
+def test_subsets_of_prototypes_in_an_over_show_their_materials(tmp_path):
+    """Below an over nothing is defined; instances show it nevertheless."""
+    part = prim(
+        "GeomSubset",
+        "Part",
+        'uniform token elementType = "face"',
+        'uniform token familyName = "materialBind"',
+        "int[] indices = [0]",
+        "rel material:binding = </Paint>",
+        metadata='apiSchemas = ["MaterialBindingAPI"]',
+    )
+    crowd = many(THREE.replace("/Many/Leaf", "/Library/Leaf"))
+    library = 'over "Library"\n{\n' + triangle("Leaf", part) + "}"
+    scene, _ = read_text(tmp_path, crowd, library, prim("Material", "Paint"))
+    assert scene.meshes[0].material_paths == ("/Paint",)
+    assert "/Paint" in scene.material_index
 
 
 def test_the_mask_counts_for_the_instancer(tmp_path):

@@ -207,8 +207,12 @@ class InstancerReader:
         mask = instancer.ComputeMaskAtTime(time)
         if len(mask):
             shown &= np.asarray(mask, dtype=np.bool_)
+        moment = _moment(instancer, time)
         found_matrices = instancer.ComputeInstanceTransformsAtTime(
-            time, time, UsdGeom.PointInstancer.ExcludeProtoXform, UsdGeom.PointInstancer.IgnoreMask
+            moment,
+            moment,
+            UsdGeom.PointInstancer.ExcludeProtoXform,
+            UsdGeom.PointInstancer.IgnoreMask,
         )
         if len(found_matrices) != count:
             raise LayerError(
@@ -276,6 +280,14 @@ _PER_INSTANCE = (
     "ids",
 )
 """Arrays with a value per instance; all but the positions may be left out."""
+
+
+def _moment(instancer: UsdGeom.PointInstancer, time: Usd.TimeCode) -> Usd.TimeCode:
+    """Return a time that velocities can be counted from, where the earliest of all is asked for."""
+    if not time.IsEarliestTime():
+        return time
+    samples = instancer.GetPositionsAttr().GetTimeSamples()
+    return Usd.TimeCode(samples[0]) if samples else Usd.TimeCode.Default()
 
 
 def _cycle(prim: Usd.Prim) -> LayerError:

@@ -219,8 +219,8 @@ def _bound_paths(prims: list[Usd.Prim], material_of: object) -> list[str]:
     """Return the paths of the materials that meshes and their subsets are bound to, once each."""
     found: dict[str, None] = {}
     for prim in prims:
-        subsets = [child for child in prim.GetChildren() if child.IsA(UsdGeom.Subset)]
-        for bound in (prim, *subsets):
+        subsets = UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim))
+        for bound in (prim, *(subset.GetPrim() for subset in subsets)):
             path = material_of(bound)  # type: ignore[operator]
             if path is not None:
                 found[path] = None
