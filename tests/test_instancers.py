@@ -448,3 +448,29 @@ def test_instancers_of_what_is_not_shown_say_so(tmp_path):
     scene, notes = read_text(tmp_path, crowd)
     assert scene.meshes == ()
     assert sorted(codes(notes)) == ["geometry-not-supported", "light-not-supported"]
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(
+    "name",
+    ["ni_pi", "ni_pi_variant", "ni_pi_xform", "pi", "pi_masking", "pi_ni", "pi_ni2", "pi_ni_pi",
+     "pi_ni_pi_ref", "pi_pi", "pi_pi2", "pi_pi_time", "pi_pi_which_rot", "pi_pi_xform",
+     "pi_root_prototype", "pi_sibling_pi", "pi_sibling_prototype"],
+)  # fmt: skip
+def test_openusds_own_instancers_have_the_bounds_that_usd_computes(realdata, tmp_path, name):
+    from pxr import Usd, UsdGeom
+
+    tests = realdata / "stages/OpenUSD/pxr/usdImaging/usdImagingGL/testenv"
+    file = tests / "testUsdImagingGLPointInstancer" / f"{name}.usda"
+    path = write_stage(tmp_path, metadata=f"metersPerUnit = 1\n    subLayers = [@{file}@]")
+    stage = Usd.Stage.Open(str(path))
+    with Usd.EditContext(stage, stage.GetSessionLayer()):  # authored extents are no measure
+        for shape in Usd.PrimRange(stage.GetPseudoRoot(), Usd.PrimAllPrimsPredicate):
+            if not shape.IsInPrototype() and shape.GetAttribute("extent").HasAuthoredValue():
+                shape.GetAttribute("extent").Block()
+    for number in (0.0, 1.0, 2.0, 13.5):
+        bounds = UsdGeom.BBoxCache(number, ["default", "render"])
+        box = bounds.ComputeWorldBound(stage.GetPseudoRoot()).ComputeAlignedRange()
+        points = np.concatenate([mesh.points for mesh in read_stage(path, number)[0].meshes])
+        np.testing.assert_allclose(points.min(axis=0), box.GetMin(), atol=2e-3)
+        np.testing.assert_allclose(points.max(axis=0), box.GetMax(), atol=2e-3)

@@ -174,6 +174,16 @@ def test_a_board_within_its_tiles_gives_no_note(here):
     assert codes(read_stage(Path("shot.usda"))[1]) == []
 
 
+def test_one_large_face_shows_every_tile_under_it(here):
+    """Two triangles over 10 x 2 squares, of which the middle one of the first row is missing."""
+    write_tiles(*((1001 + u + 10 * v, RED) for u in range(10) for v in (0, 1) if (u, v) != (5, 0)))
+    material, board = painted()
+    wide = board.replace("[(0, 0), (2, 0), (2, 2), (0, 2)]", "[(0, 0), (10, 0), (10, 2), (0, 2)]")
+    Path("shot.usda").write_text(stage_text(DARK, material, wide))
+    (note,) = read_stage(Path("shot.usda"))[1]
+    assert "1 tiles that meshes show are missing, such as 1006 on </Board>" in note.message
+
+
 def test_a_pattern_without_tiles_is_one_line(here, capfd):
     Path("shot.usda").write_text(stage_text(DARK, *painted()))
     assert cli.main(["-q", "render", "shot.usda", "o.exr", "--no-png"]) == 3

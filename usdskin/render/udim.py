@@ -32,6 +32,7 @@ _FIRST = 1001
 _LAST = 9999
 _TEXEL_BYTES = 16
 _INWARDS = 1e-3
+_CUTS = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,15 +166,30 @@ def missing_tile_notes(
 def _tiles(
     mesh: MeshArrays, material: int, index: Mapping[str | None, int], texture: TextureInput
 ) -> set[tuple[int, int]]:
-    """Return the squares in which the triangles of one material have their corners."""
+    """Return the squares that the triangles of one material show."""
     slots = np.array([index[path] for path in mesh.material_paths]) == material
     st = mesh.primvars.get(texture.primvar)
     if st is None or st.shape[2] < 2 or not slots.any():
         return set()
-    corner = st[slots[mesh.material_slot], :, :2].astype(np.float64)
+    matrix = np.asarray(texture.st_matrix)
+    corner = st[slots[mesh.material_slot], :, :2].astype(np.float64) @ matrix[:, :2].T
+    corner = _halved(corner + matrix[:, 2])
     # A corner on the line between two squares belongs to that of its triangle.
     corner += _INWARDS * (corner.mean(axis=1, keepdims=True) - corner)
-    matrix = np.asarray(texture.st_matrix)
-    cells = np.floor(corner.reshape(-1, 2) @ matrix[:, :2].T + matrix[:, 2])
+    cells = np.floor(corner.reshape(-1, 2))
     cells = cells[np.abs(cells).max(axis=1) < 1e6].astype(np.int64)
     return {(int(u), int(v)) for u, v in np.unique(cells, axis=0)}
+
+
+def _halved(corner: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return triangles in the plane, the large ones cut until all fit into half a square."""
+    for _ in range(_CUTS):
+        wide = np.ptp(corner, axis=1).max(axis=1) > 0.5
+        if not wide.any():
+            break
+        a, b, c = np.moveaxis(corner[wide], 1, 0)
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+        cut = [np.stack(part, axis=1) for part in parts]
+        corner = np.concatenate([corner[~wide], *cut])
+    return corner
