@@ -223,6 +223,20 @@ def flag(says: str, *arguments: str, code: int = 2) -> Bad:
 
 
 # fmt: off
+INSTANCERS = """def PointInstancer "Crowd"
+{
+    rel prototypes = </Crowd/Again>
+    int[] protoIndices = [0]
+    point3f[] positions = [(0, 0, 0)]
+    def PointInstancer "Again"
+    {
+        rel prototypes = </Crowd>
+        int[] protoIndices = [0]
+        point3f[] positions = [(0, 0, 0)]
+    }
+}
+def RenderSettings "Render\""""
+
 CASES = [
     # The layer
     Bad("stage missing", "nowhere.usda no such file", stage="nowhere.usda"),
@@ -235,6 +249,7 @@ CASES = [
     bad("stage is cut short", "shot.usda:75:9: Expected", files=cut("shot.usda", 0.7)),
     bad("stage is not UTF-8", "shot.usda UTF-8", '"Glass" -> "Gl\udcffss"'),
     bad("metersPerUnit 0", "shot.usda metersPerUnit", "metersPerUnit = 1 -> metersPerUnit = 0"),
+    bad("crowd of itself", "/Crowd prototypes", f'def RenderSettings "Render" -> {INSTANCERS}'),
     bad("time codes 0", "timeCodesPerSecond", "metersPerUnit = 1 -> timeCodesPerSecond = 0"),
     bad("time codes NaN", "timeCodesPerSecond", "metersPerUnit = 1 -> timeCodesPerSecond = nan"),
     bad("start NaN", "shot.usda startTimeCode", "metersPerUnit = 1 -> startTimeCode = nan"),
@@ -481,26 +496,12 @@ def test_bad_input_is_one_line_that_says_where_and_leaves_nothing(case, shot, ca
     assert listing(shot) == before
 
 
-INSTANCERS = """def PointInstancer "Crowd"
-{
-    rel prototypes = </Crowd/Again>
-    int[] protoIndices = [0]
-    point3f[] positions = [(0, 0, 0)]
-    def PointInstancer "Again"
-    {
-        rel prototypes = </Crowd>
-        int[] protoIndices = [0]
-        point3f[] positions = [(0, 0, 0)]
-    }
-}
-def RenderSettings "Render\""""
 FOG = 'string sourceName = "Z" -> string sourceName = "fog"'
 
 
 @pytest.mark.parametrize(
     ("case", "code"),
     [
-        (bad("crowd", "/Crowd", f'def RenderSettings "Render" -> {INSTANCERS}'), "geometry-not"),
         (bad("lamp", "/Sun", "DistantLight -> SphereLight"), "light-needs-traced"),
         (bad("variable", "/Render/Fog", FOG, "Depth -> Fog"), "aov-not-written"),
         (bad("reference", "/Eye no.usda", 'Eye" ( -> Eye" (references = @./no.usda@\n'),

@@ -227,8 +227,7 @@ def test_shape_without_size_is_nothing_and_noted(kind, attributes):
 
 @pytest.mark.parametrize(
     "kind",
-    ["BasisCurves", "NurbsCurves", "HermiteCurves", "Points", "NurbsPatch", "TetMesh",
-     "PointInstancer", "Volume"],
+    ["BasisCurves", "NurbsCurves", "HermiteCurves", "Points", "NurbsPatch", "TetMesh", "Volume"],
 )  # fmt: skip
 def test_geometry_that_is_not_shown_is_named(kind):
     note = unsupported_note(define(kind))

@@ -559,14 +559,6 @@ def test_two_sides_are_told():
     assert read(define(SQUARE, TWO, doubleSided=True)).double_sided
 
 
-def test_skinned_mesh_is_noted():
-    notes = []
-    mesh = define(SQUARE, TWO)
-    primvar(mesh, "skel:jointIndices", Sdf.ValueTypeNames.IntArray, "vertex", [0] * 6)
-    read(mesh, notes=notes)
-    assert codes(notes) == ["skinning-ignored"]
-
-
 @pytest.mark.realdata
 def test_real_body_is_subdivided_without_a_flaw(realdata):
     points, faces = _read_group(realdata / "heads" / "makehuman" / "base.obj", "body")

@@ -220,11 +220,6 @@ def test_a_file_may_say_how_it_wraps_and_black_is_the_rule(tmp_path):
 # What cannot be read
 
 
-def test_udim_textures_are_refused_with_a_way_out():
-    with pytest.raises(LayerError, match=r"skin\.<UDIM>\.png: tiled \(UDIM\).*bake the tiles"):
-        read_texture("tex/skin.<UDIM>.png")
-
-
 def test_unknown_settings_are_refused(tmp_path):
     path = _png(tmp_path / "a.png", [[[1]]])
     with pytest.raises(LayerError, match="sourceColorSpace is 'srgb'; use auto, raw, sRGB"):

@@ -173,9 +173,79 @@ def _wrap_index(i: wp.int32, size: wp.int32, mode: wp.int32) -> wp.int32:
 
 
 @wp.func
-def _texel(
-    materials: Materials, texture: wp.int32, level: wp.vec3i, i: wp.int32, j: wp.int32
+def _tile_at(materials: Materials, tiled: wp.int32, u: wp.int32, v: wp.int32) -> wp.int32:
+    """Return the texture of a tile, -1 where there is none."""
+    info = materials.texture_info[tiled]
+    if u < 0 or u >= 10 or v < 0 or v >= -info[0]:
+        return -1
+    return materials.texture_tile[info[1] + 10 * v + u]
+
+
+@wp.func
+def _texel_beside(
+    materials: Materials,
+    tiled: wp.int32,
+    tile: wp.vec3i,
+    lower: wp.int32,
+    i: wp.int32,
+    j: wp.int32,
 ) -> wp.vec4f:
+    """Return a texel beyond the edge of a tile: the next tile's, or the edge's where none is."""
+    level = materials.texture_level[tile[0], lower]
+    right = int(0)
+    up = int(0)
+    if j < 0:
+        right = -1
+    if j >= level[1]:
+        right = 1
+    if i < 0:
+        up = 1
+    if i >= level[2]:
+        up = -1
+    column = wp.clamp(j, 0, level[1] - 1)
+    row = wp.clamp(i, 0, level[2] - 1)
+    beside = _tile_at(materials, tiled, tile[1] + right, tile[2] + up)
+    if beside < 0 and right != 0 and up != 0:  # at a corner, where the outer edges stay
+        beside = _tile_at(materials, tiled, tile[1] + right, tile[2])
+        if beside >= 0:
+            up = 0
+        else:
+            right = 0
+            beside = _tile_at(materials, tiled, tile[1], tile[2] + up)
+    if beside < 0:
+        return materials.texel[level[0] + row * level[1] + column]
+    last = materials.texture_info[beside][0] - 1
+    other = materials.texture_level[beside, wp.min(lower, last)]
+    # Tiles may differ in size: along the edge the same place, not the same texel.
+    x = (wp.float32(column) + 0.5) / wp.float32(level[1]) * wp.float32(other[1])
+    y = (wp.float32(row) + 0.5) / wp.float32(level[2]) * wp.float32(other[2])
+    column = wp.clamp(wp.int32(x), 0, other[1] - 1)
+    row = wp.clamp(wp.int32(y), 0, other[2] - 1)
+    if right > 0:
+        column = 0
+    if right < 0:
+        column = other[1] - 1
+    if up > 0:
+        row = other[2] - 1
+    if up < 0:
+        row = 0
+    return materials.texel[other[0] + row * other[1] + column]
+
+
+@wp.func
+def _texel(
+    materials: Materials,
+    texture: wp.int32,
+    tile: wp.vec3i,
+    lower: wp.int32,
+    i: wp.int32,
+    j: wp.int32,
+) -> wp.vec4f:
+    level = materials.texture_level[tile[0], lower]
+    if tile[0] != texture:
+        if i < 0 or j < 0 or i >= level[2] or j >= level[1]:
+            return _texel_beside(materials, texture, tile, lower, i, j)
+        return materials.texel[level[0] + i * level[1] + j]
     info = materials.texture_info[texture]
     column = _wrap_index(j, level[1], info[1])
     row = _wrap_index(i, level[2], info[2])
@@ -186,20 +256,34 @@ def _texel(
 
 @wp.func
 def _sample_level(
-    materials: Materials, texture: wp.int32, lower: wp.int32, st: wp.vec2f
+    materials: Materials, texture: wp.int32, tile: wp.vec3i, lower: wp.int32, st: wp.vec2f
 ) -> wp.vec4f:
-    level = materials.texture_level[texture, lower]
+    level = materials.texture_level[tile[0], lower]
     x = st[0] * wp.float32(level[1]) - 0.5
     y = (1.0 - st[1]) * wp.float32(level[2]) - 0.5
     j = wp.int32(wp.floor(x))
     i = wp.int32(wp.floor(y))
     fx = x - wp.float32(j)
     fy = y - wp.float32(i)
-    top = (1.0 - fx) * _texel(materials, texture, level, i, j)
-    top += fx * _texel(materials, texture, level, i, j + 1)
-    bottom = (1.0 - fx) * _texel(materials, texture, level, i + 1, j)
-    bottom += fx * _texel(materials, texture, level, i + 1, j + 1)
+    top = (1.0 - fx) * _texel(materials, texture, tile, lower, i, j)
+    top += fx * _texel(materials, texture, tile, lower, i, j + 1)
+    bottom = (1.0 - fx) * _texel(materials, texture, tile, lower, i + 1, j)
+    bottom += fx * _texel(materials, texture, tile, lower, i + 1, j + 1)
     return (1.0 - fy) * top + fy * bottom
+
+
+@wp.func
+def _find_tile(materials: Materials, tiled: wp.int32, st: wp.vec2f) -> wp.vec3i:
+    """Return (texture, u, v) of the tile at ``st``; the texture is -1 where there is none."""
+    u = wp.int32(wp.floor(st[0]))
+    v = wp.int32(wp.floor(st[1]))
+    tile = _tile_at(materials, tiled, u, v)
+    if tile < 0:
+        # A point on the far edge of the last tile is on that tile.
+        u = wp.int32(wp.floor(st[0] - 1.0e-4))
+        v = wp.int32(wp.floor(st[1] - 1.0e-4))
+        tile = _tile_at(materials, tiled, u, v)
+    return wp.vec3i(tile, u, v)
 
 
 @wp.func
@@ -207,14 +291,20 @@ def sample_texture(
     materials: Materials, texture: wp.int32, st: wp.vec2f, width: wp.float32
 ) -> wp.vec4f:
     """Return a texture at ``st`` (origin bottom left), trilinear for a footprint ``width``."""
-    info = materials.texture_info[texture]
-    base = materials.texture_level[texture, 0]
+    tile = wp.vec3i(texture, 0, 0)
+    if materials.texture_info[texture][0] < 0:
+        tile = _find_tile(materials, texture, st)
+        if tile[0] < 0:
+            return materials.texture_border[texture]
+    local = st - wp.vec2f(wp.float32(tile[1]), wp.float32(tile[2]))
+    info = materials.texture_info[tile[0]]
+    base = materials.texture_level[tile[0], 0]
     texels = width * wp.float32(wp.max(base[1], base[2]))
     level = wp.clamp(wp.log2(wp.max(texels, 1.0e-6)), 0.0, wp.float32(info[0] - 1))
     lower = wp.int32(level)
     blend = level - wp.float32(lower)
-    result = _sample_level(materials, texture, lower, st)
+    result = _sample_level(materials, texture, tile, lower, local)
     if blend > 0.0:
-        upper = _sample_level(materials, texture, lower + 1, st)
+        upper = _sample_level(materials, texture, tile, lower + 1, local)
         result = (1.0 - blend) * result + blend * upper
     return result

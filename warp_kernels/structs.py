@@ -213,7 +213,11 @@ class Materials:
     """What wrap mode black reads outside, shape [texture_count]."""
 
     texture_info: wp.array[wp.vec3i]
-    """(levels, wrap s, wrap t), shape [texture_count]."""
+    """(levels, wrap s, wrap t), shape [texture_count]; of a tiled texture (minus the rows of its
+    table of 10 columns, the table's first entry, 0)."""
+
+    texture_tile: wp.array[wp.int32]
+    """Tables of tiled textures: the texture of each tile, -1 where there is none, shape [n]."""
 
     band: wp.array2d[wp.vec4f]
     """Spectra of each row's four channels, one after the other, bands in groups of four [radiance

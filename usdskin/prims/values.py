@@ -255,8 +255,10 @@ def _file(attribute: Usd.Attribute, asset: Sdf.AssetPath) -> Path | None:
     if asset.resolvedPath:
         return Path(asset.resolvedPath)
     layer = attribute.GetPropertyStack()[0].layer
-    if "<UDIM>" in asset.path and UsdShade.UdimUtils.ResolveUdimTilePaths(asset.path, layer):
-        return Path(layer.ComputeAbsolutePath(asset.path))
+    if "<UDIM>" in asset.path:
+        tiled = UsdShade.UdimUtils.ResolveUdimPath(asset.path, layer)
+        if tiled:
+            return Path(tiled)
     raise _RefusedError(
         "file-not-found",
         f"names @{asset.path}@, which is not there; restore it or correct the path",

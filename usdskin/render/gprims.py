@@ -20,6 +20,7 @@ from usdskin.render.mesh_topology import FloatArray
 from usdskin.render.mesh_values import read_size, read_token
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.revolve import Shape, revolve
+from usdskin.render.skinning import Pose
 
 # isort: split
 # After ours, which register the schemas.
@@ -27,6 +28,9 @@ from pxr import Usd, UsdGeom, UsdVol
 
 ROWS = 96
 """Segments from pole to pole of a sphere."""
+
+_Reader = Callable[[Usd.Prim, Usd.TimeCode, int], Shape | None]
+"""Reads a shape of a type at a time, with so many segments from pole to pole."""
 
 _AXES = {"X": (2, 0, 1), "Y": (1, 2, 0), "Z": (0, 1, 2)}
 """Which coordinate of a shape about +Z becomes x, y and z, by axis."""
@@ -36,7 +40,6 @@ _UNSUPPORTED = {
     UsdGeom.Points: "points are not shown",
     UsdGeom.NurbsPatch: "NURBS patches are not shown; convert them to a mesh",
     UsdGeom.TetMesh: "tetrahedral meshes are not shown; convert their surface to a mesh",
-    UsdGeom.PointInstancer: "its instances are not shown; make them native instances",
     UsdVol.Volume: "volumes are not shown",
     UsdGeom.Gprim: "geometry of this type is not shown; convert it to a mesh",
 }
@@ -67,6 +70,8 @@ def read_gprim(
     primvar_names: Iterable[str],
     materials: BoundMaterial,
     notes: list[Note],
+    pose: Pose | None = None,
+    rows: int = ROWS,
 ) -> MeshArrays | None:
     """Read a shape, as :func:`usdskin.render.meshes.read_mesh` reads a mesh.
 
@@ -81,6 +86,8 @@ def read_gprim(
         primvar_names: Primvars wanted, without ``primvars:``.
         materials: Gives the material path bound to a prim.
         notes: What is not shown as authored is appended.
+        pose: What a skeleton makes of it.
+        rows: Segments from pole to pole of a sphere; twice as many go around an axis.
 
     Returns:
         The triangles, or None when the shape has no size or is of another type.
@@ -93,8 +100,10 @@ def read_gprim(
     if reader is None:
         return None
     where = describe(prim)
+    if pose is not None and pose.transform is not None:
+        to_world = to_world @ pose.transform
     mirrored = check_transform(to_world, where)
-    shape = reader(prim, time)
+    shape = reader(prim, time, rows)
     if shape is None or not len(shape.triangles):
         notes.append(Note("gprim-empty", str(prim.GetPath()), "the shape has no size"))
         return None
@@ -142,9 +151,9 @@ def _constant(
     return None if values is None else values.of_elements()[0]
 
 
-def _reader(prim: Usd.Prim) -> Callable[[Usd.Prim, Usd.TimeCode], Shape | None] | None:
+def _reader(prim: Usd.Prim) -> _Reader | None:
     """Return what reads a shape of the prim's type."""
-    readers: dict[str, Callable[[Usd.Prim, Usd.TimeCode], Shape | None]] = {
+    readers: dict[str, _Reader] = {
         "Sphere": _read_sphere,
         "Cube": _read_cube,
         "Cylinder": _read_cylinder,
@@ -181,39 +190,39 @@ def _turned(prim: Usd.Prim, shape: Shape) -> Shape:
     )
 
 
-def _read_sphere(prim: Usd.Prim, time: Usd.TimeCode) -> Shape:
+def _read_sphere(prim: Usd.Prim, time: Usd.TimeCode, rows: int) -> Shape:
     radius = _size(prim, "radius", time)
-    latitude = np.linspace(-0.5 * np.pi, 0.5 * np.pi, ROWS + 1)
-    return revolve(*_arc(latitude, radius, 0.0))
+    latitude = np.linspace(-0.5 * np.pi, 0.5 * np.pi, rows + 1)
+    return revolve(*_arc(latitude, radius, 0.0), 2 * rows)
 
 
-def _read_cylinder(prim: Usd.Prim, time: Usd.TimeCode) -> Shape:
+def _read_cylinder(prim: Usd.Prim, time: Usd.TimeCode, rows: int) -> Shape:
     half = 0.5 * _size(prim, "height", time)
     bottom, top = _radii(prim, time)
-    return _turned(prim, revolve(*_capped(bottom, top, half)))
+    return _turned(prim, revolve(*_capped(bottom, top, half), 2 * rows))
 
 
-def _read_cone(prim: Usd.Prim, time: Usd.TimeCode) -> Shape:
+def _read_cone(prim: Usd.Prim, time: Usd.TimeCode, rows: int) -> Shape:
     half = 0.5 * _size(prim, "height", time)
-    return _turned(prim, revolve(*_capped(_size(prim, "radius", time), 0.0, half)))
+    return _turned(prim, revolve(*_capped(_size(prim, "radius", time), 0.0, half), 2 * rows))
 
 
-def _read_capsule(prim: Usd.Prim, time: Usd.TimeCode) -> Shape:
+def _read_capsule(prim: Usd.Prim, time: Usd.TimeCode, rows: int) -> Shape:
     """Read the hull of two balls: what lies between them touches both without a kink."""
     half = 0.5 * _size(prim, "height", time)
     bottom, top = _radii(prim, time)
     if abs(bottom - top) >= 2.0 * half:
         radius, middle = (bottom, -half) if bottom >= top else (top, half)
-        latitude = np.linspace(-0.5 * np.pi, 0.5 * np.pi, ROWS + 1)
-        return _turned(prim, revolve(*_arc(latitude, radius, middle)))
+        latitude = np.linspace(-0.5 * np.pi, 0.5 * np.pi, rows + 1)
+        return _turned(prim, revolve(*_arc(latitude, radius, middle), 2 * rows))
     tangent = float(np.arcsin((bottom - top) / (2.0 * half)))
-    low = np.linspace(-0.5 * np.pi, tangent, ROWS // 2 + 1)
-    high = np.linspace(tangent, 0.5 * np.pi, ROWS // 2 + 1)
+    low = np.linspace(-0.5 * np.pi, tangent, rows // 2 + 1)
+    high = np.linspace(tangent, 0.5 * np.pi, rows // 2 + 1)
     rings = [_arc(low, bottom, -half), _arc(high, top, half)]
     profile = np.concatenate([rings[0][0], rings[1][0]])
     side = np.array([[[np.cos(tangent), np.sin(tangent)]] * 2])
     normals = np.concatenate([rings[0][1], side, rings[1][1]])
-    return _turned(prim, revolve(profile, normals))
+    return _turned(prim, revolve(profile, normals, 2 * rows))
 
 
 def _arc(latitude: FloatArray, radius: float, middle: float) -> tuple[FloatArray, FloatArray]:
@@ -232,7 +241,7 @@ def _capped(bottom: float, top: float, half: float) -> tuple[FloatArray, FloatAr
     return profile, np.stack([directions, directions], axis=1)
 
 
-def _read_cube(prim: Usd.Prim, time: Usd.TimeCode) -> Shape | None:
+def _read_cube(prim: Usd.Prim, time: Usd.TimeCode, rows: int) -> Shape | None:
     half = 0.5 * _size(prim, "size", time)
     if half == 0.0:
         return None
@@ -259,7 +268,7 @@ def _read_cube(prim: Usd.Prim, time: Usd.TimeCode) -> Shape | None:
     )
 
 
-def _read_plane(prim: Usd.Prim, time: Usd.TimeCode) -> Shape | None:
+def _read_plane(prim: Usd.Prim, time: Usd.TimeCode, rows: int) -> Shape | None:
     """Read a plane that faces its positive axis; s runs along its width, t along its length."""
     width, length = _size(prim, "width", time), _size(prim, "length", time)
     if width == 0.0 or length == 0.0:

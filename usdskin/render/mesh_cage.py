@@ -70,7 +70,11 @@ class Cage:
 
 
 def read_cage(
-    prim: Usd.Prim, time: Usd.TimeCode, to_world: FloatArray, notes: list[Note]
+    prim: Usd.Prim,
+    time: Usd.TimeCode,
+    to_world: FloatArray,
+    notes: list[Note],
+    posed: FloatArray | None = None,
 ) -> Cage | None:
     """Read topology and points.
 
@@ -79,6 +83,7 @@ def read_cage(
         time: When.
         to_world: Local to world [m], column vectors, shape [4, 4].
         notes: Dropped faces are noted.
+        posed: Local points that take the place of the authored ones, shape [n, 3].
 
     Returns:
         The control mesh, or None when it has no faces.
@@ -89,7 +94,7 @@ def read_cage(
     mesh = UsdGeom.Mesh(prim)
     where = describe(prim)
     mirrored = check_transform(to_world, where)
-    local = read_points(mesh.GetPointsAttr(), time)
+    local = read_points(mesh.GetPointsAttr(), time) if posed is None else posed
     counts, vertices = _read_faces(mesh, time, len(local), where)
     scheme = read_token(mesh.GetSubdivisionSchemeAttr(), time)
     left_handed = read_token(mesh.GetOrientationAttr(), time) == "leftHanded"

@@ -11,6 +11,7 @@ from usdskin.notes import Note
 from usdskin.render.mesh_primvars import ElementCounts, PrimvarValues, checked
 from usdskin.render.mesh_topology import BoolArray, CornerRows, FloatArray
 from usdskin.render.mesh_values import read_numbers
+from usdskin.render.skinning import Pose
 
 # isort: split
 # After ours, which register the schemas.
@@ -18,9 +19,15 @@ from pxr import Usd, UsdGeom
 
 
 def read_normals(
-    mesh: UsdGeom.Mesh, time: Usd.TimeCode, counts: ElementCounts
+    mesh: UsdGeom.Mesh,
+    time: Usd.TimeCode,
+    counts: ElementCounts,
+    pose: Pose,
+    notes: list[Note],
 ) -> PrimvarValues | None:
     """Return the authored normals in local space; ``primvars:normals`` counts before ``normals``.
+
+    Those of a posed mesh are turned with it; where they cannot be, the faces' own stand in.
 
     Raises:
         MeshError: Their count, an index or a value cannot be used.
@@ -34,8 +41,15 @@ def read_normals(
         indices = None
     if not attribute.HasValue() or attribute.Get(time) is None:
         return None
+    if pose.drops_normals:
+        what = f"normals of {interpolation} interpolation cannot be posed; the faces' own stand in"
+        notes.append(Note("normals-ignored", str(mesh.GetPath()), what))
+        return None
     values = read_numbers(attribute, time, 3)
-    return checked(attribute, interpolation, values, indices, counts)
+    authored = checked(attribute, interpolation, values, indices, counts)
+    if pose.normals is None:
+        return authored
+    return PrimvarValues(authored.interpolation, pose.normals, None)
 
 
 def replace_normals(

@@ -133,7 +133,7 @@ def checked(
         what = "values" if indices is None else "indices"
         raise MeshError(
             f"{name} has {found} {what}, but {interpolation} interpolation needs {expected}; "
-            "export the mesh again or correct its interpolation"
+            "export it again or correct its interpolation"
         )
     if indices is not None and found:
         wrong = (indices < 0) | (indices >= len(values))
@@ -141,7 +141,7 @@ def checked(
             at = int(np.argmax(wrong))
             raise MeshError(
                 f"{name}:indices[{at}] is {indices[at]}, but there are {len(values)} values; "
-                "export the mesh again"
+                "export it again"
             )
     finite = np.isfinite(values).all(axis=1)
     if not finite.all():

@@ -9,6 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from usdskin.errors import MeshError
+from usdskin.layers import describe
 from usdskin.notes import Note
 from usdskin.render.mesh_topology import IndexArray
 from usdskin.render.mesh_values import read_indices
@@ -30,8 +32,8 @@ def read_material_slots(
 ) -> tuple[IndexArray, list[str | None]]:
     """Return the material slot of every authored face, and the material of each slot.
 
-    Faces in no subset have the mesh's own material, slot 0. Where subsets overlap, which USD calls
-    invalid, the first one counts.
+    Faces in no subset have the mesh's own material, slot 0. Where subsets overlap, the first one
+    counts, unless their family's type promises that none do.
 
     Args:
         prim: A ``UsdGeomMesh``.
@@ -41,12 +43,15 @@ def read_material_slots(
         notes: Overlaps and subsets that are not used are noted.
 
     Raises:
-        MeshError: A subset names a face that does not exist.
+        MeshError: A subset names a face that does not exist, or overlaps another one of a family
+            of type ``nonOverlapping`` or ``partition``.
     """
     paths: list[str | None] = [materials(prim)]
     slot = np.zeros(face_count, dtype=np.intp)
     owner = np.full(face_count, -1, dtype=np.intp)
-    subsets = UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim))
+    imageable = UsdGeom.Imageable(prim)
+    subsets = UsdGeom.Subset.GetAllGeomSubsets(imageable)
+    kind = UsdGeom.Subset.GetFamilyType(imageable, UsdShade.Tokens.materialBind)
     for number, subset in enumerate(subsets):
         if not _binds_faces(subset, notes):
             continue
@@ -54,6 +59,11 @@ def read_material_slots(
         taken = faces[owner[faces] >= 0]
         if len(taken):
             first = subsets[owner[taken[0]]].GetPrim().GetName()
+            if kind in (UsdGeom.Tokens.nonOverlapping, UsdGeom.Tokens.partition):
+                raise MeshError(
+                    f"{describe(subset.GetPrim())}: face {taken[0]} is in {first} too, but their "
+                    f"family materialBind is of type {kind}; remove it from one of them"
+                )
             notes.append(
                 Note(
                     "subset-overlap",
@@ -68,6 +78,10 @@ def read_material_slots(
         if path not in paths:
             paths.append(path)
         slot[free] = paths.index(path)
+    left = int((owner < 0).sum())
+    if left and kind == UsdGeom.Tokens.partition:
+        what = f"{left} faces are in no subset of a family of type partition; they show the mesh's"
+        notes.append(Note("subset-partition", str(prim.GetPath()), f"{what} own material"))
     return slot, paths
 
 

@@ -99,7 +99,7 @@ def read_indices(
         there = f"there are {count} (0 to {count - 1})" if count else "there is none"
         raise MeshError(
             f"{describe(attribute)}: {attribute.GetName()}[{at}] names {element} {indices[at]}, "
-            f"but {there}; export the mesh again"
+            f"but {there}; export it again"
         )
     return indices
 

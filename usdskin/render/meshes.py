@@ -25,6 +25,7 @@ from usdskin.render.mesh_subsets import BoundMaterial, read_material_slots
 from usdskin.render.mesh_topology import BoolArray, CornerRows, FloatArray, IndexArray
 from usdskin.render.mesh_values import read_token
 from usdskin.render.polygons import AREA_TOLERANCE, area_vectors, is_closed, triangulate
+from usdskin.render.skinning import Pose
 from usdskin.render.subdivide import subdivide
 
 # isort: split
@@ -122,6 +123,7 @@ def read_mesh(
     primvar_names: Iterable[str],
     materials: BoundMaterial,
     notes: list[Note],
+    pose: Pose | None = None,
 ) -> MeshArrays | None:
     """Read a mesh.
 
@@ -134,6 +136,7 @@ def read_mesh(
         primvar_names: Primvars wanted, without ``primvars:``.
         materials: Gives the material path bound to a prim.
         notes: What is not shown as authored is appended.
+        pose: What a skeleton makes of it.
 
     Returns:
         The triangles, or None when there are none.
@@ -143,11 +146,13 @@ def read_mesh(
             that are not finite, a singular transform.
         DeviceError: So many triangles do not fit in memory.
     """
-    cage = read_cage(prim, time, to_world, notes)
+    pose = pose or Pose()
+    if pose.transform is not None:
+        to_world = to_world @ pose.transform
+    cage = read_cage(prim, time, to_world, notes, pose.points)
     if cage is None:
         return None
     mesh = UsdGeom.Mesh(prim)
-    _note_skinning(prim, notes)
     counts = ElementCounts(len(cage.points), cage.authored_faces, cage.authored_corners)
     primvars = {}
     for name in sorted(set(primvar_names)):
@@ -156,7 +161,7 @@ def read_mesh(
             primvars[name] = values
     shown = ~cage.is_hole
     if cage.scheme == "none":
-        surface, solid = _polygon_surface(mesh, cage, time, to_world, primvars, counts, notes)
+        surface, solid = _polygon_surface(mesh, cage, time, to_world, primvars, counts, notes, pose)
         shown &= solid
     else:
         net = build_net(mesh, cage, time, notes)
@@ -176,6 +181,7 @@ def _polygon_surface(
     primvars: dict[str, PrimvarValues],
     counts: ElementCounts,
     notes: list[Note],
+    pose: Pose,
 ) -> tuple[_Surface, BoolArray]:
     """Return a polygon mesh with authored normals, or faceted, and which faces have an area."""
     area, extent = area_vectors(cage.face_counts, cage.points[cage.corner_vertex])
@@ -193,7 +199,7 @@ def _polygon_surface(
         )
     face_of_corner = np.repeat(np.arange(len(cage.face_counts)), cage.face_counts)
     normals = CornerRows(unit(area), face_of_corner)
-    authored = read_normals(mesh, time, counts)
+    authored = read_normals(mesh, time, counts, pose, notes)
     if authored is not None:
         local = _at_corners(authored, cage)
         corner = local.rows[local.index] @ np.linalg.inv(to_world[:3, :3])
@@ -351,15 +357,3 @@ def _cut(
         closed=not cage.is_hole.any()
         and is_closed(cage.face_counts, cage.corner_vertex, cage.points),
     )
-
-
-def _note_skinning(prim: Usd.Prim, notes: list[Note]) -> None:
-    if prim.GetAttribute("primvars:skel:jointIndices").HasAuthoredValue():
-        notes.append(
-            Note(
-                "skinning-ignored",
-                str(prim.GetPath()),
-                "the mesh is bound to a skeleton; it is shown as authored, not posed. Bake it "
-                "with UsdSkel.BakeSkinning",
-            )
-        )

@@ -41,7 +41,7 @@ class Shape:
     """Whether it encloses a volume."""
 
 
-def revolve(profile: FloatArray, strip_normals: FloatArray) -> Shape:
+def revolve(profile: FloatArray, strip_normals: FloatArray, columns: int = COLUMNS) -> Shape:
     """Turn a profile about +Z.
 
     ``st`` goes once around and, by the length of the profile, from bottom to top; on a flat end it
@@ -51,9 +51,10 @@ def revolve(profile: FloatArray, strip_normals: FloatArray) -> Shape:
         profile: Radius and z from the bottom pole, radius 0, to the top one, shape [n, 2].
         strip_normals: Outward unit normals (radial, z) at the low and the high end of the strips
             between successive profile points, shape [n - 1, 2, 2].
+        columns: Segments around the axis.
     """
-    column = np.arange(COLUMNS)
-    name = np.arange(len(profile))[:, None] * COLUMNS + np.arange(COLUMNS + 1) % COLUMNS
+    column = np.arange(columns)
+    name = np.arange(len(profile))[:, None] * columns + np.arange(columns + 1) % columns
     is_pole = profile[:, 0] <= 0.0
     name[is_pole] = name[is_pole, :1]
     has_length = np.any(np.diff(profile, axis=0) != 0.0, axis=1)
@@ -65,15 +66,15 @@ def revolve(profile: FloatArray, strip_normals: FloatArray) -> Shape:
         ring = strip[:, None, None] + _ENDS[kind]
         place = column[:, None] + _STEPS[kind]
         triangles.append(name[ring, place].reshape(-1, 3))
-        around = np.where(is_pole[ring], column[:, None] + 0.5, place) / COLUMNS
+        around = np.where(is_pole[ring], column[:, None] + 0.5, place) / columns
         outward = strip_normals[strip[:, None], _ENDS[kind]][:, None]
         turn = 2.0 * np.pi * around
         across, up = np.broadcast_arrays(outward[..., 0], outward[..., 1], turn)[:2]
         normal = np.stack([across * np.cos(turn), across * np.sin(turn), up], axis=-1)
         normals.append(normal.reshape(-1, 3, 3))
         st.append(_texture(profile, ring, around, strip_normals[strip]).reshape(-1, 3, 2))
-    angle = 2.0 * np.pi * column / COLUMNS
-    points = np.empty((len(profile), COLUMNS, 3))
+    angle = 2.0 * np.pi * column / columns
+    points = np.empty((len(profile), columns, 3))
     points[..., 0] = profile[:, :1] * np.cos(angle)
     points[..., 1] = profile[:, :1] * np.sin(angle)
     points[..., 2] = profile[:, 1:]
@@ -93,7 +94,7 @@ def revolve(profile: FloatArray, strip_normals: FloatArray) -> Shape:
 def _texture(
     profile: FloatArray, ring: IndexArray, around: FloatArray, strip_normals: FloatArray
 ) -> FloatArray:
-    """Return texture coordinates of the corners of strips, shape [strips, COLUMNS, 3, 2]."""
+    """Return texture coordinates of the corners of strips, shape [strips, columns, 3, 2]."""
     tiny = np.finfo(float).tiny
     reach = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(profile, axis=0), axis=1)))
     height = np.broadcast_to((reach / max(reach[-1], tiny))[ring], around.shape)

@@ -5,7 +5,6 @@ Reads: any stage. Makes: ``Scene``, which knows no USD, and from it ``DeviceScen
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -20,7 +19,9 @@ from usdskin.layers import describe
 from usdskin.notes import Note
 from usdskin.render.detail import add_detail, detail_primvars, frames_of
 from usdskin.render.gloss import LADDER, add_reflections, show_domes
-from usdskin.render.gprims import is_gprim, read_gprim, unsupported_note
+from usdskin.render.gprims import ROWS, is_gprim, read_gprim, unsupported_note
+from usdskin.render.instance_meshes import instance_meshes
+from usdskin.render.instancers import InstancerReader, Placed
 from usdskin.render.integrate import DeviceScene, Faces
 from usdskin.render.light_links import LinkTables, link_lights, read_links
 from usdskin.render.light_maps import (
@@ -45,13 +46,19 @@ from usdskin.render.materials import (
 )
 from usdskin.render.meshes import MeshArrays, read_mesh
 from usdskin.render.settings import RenderSettings
+from usdskin.render.skinning import PoseReader
 from usdskin.render.surface_rows import SpectralFrame, dims, gloss_alphas, wraps_of
 from usdskin.render.surfaces import build_surfaces
+from usdskin.render.udim import missing_tile_notes
 from usdskin.warp_kernels import structs
 
 # isort: split
 # After ours, which register the schemas.
 from pxr import Tf, Usd, UsdGeom
+
+_WITH_OWN_VISIBILITY = ("proxy", "render")
+"""Purposes that ``UsdGeomVisibilityAPI`` may hide; guides it hides unless told otherwise, but who
+asks for guides wants them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +109,8 @@ def read_scene(
         places=settings.integrator == "traced",
     )
     check_lit(stage, lights, notes)
-    prims = list(_visible_gprims(stage, time, settings, notes))
+    cache = UsdGeom.XformCache(time)
+    prims, placed = _visible_shapes(stage, time, settings, cache, notes)
     bindings: dict[str, str | None] = {}
 
     def material_of(prim: Usd.Prim) -> str | None:
@@ -112,50 +120,88 @@ def read_scene(
             notes.extend(binding_notes(prim))
         return bindings[path]
 
-    paths = _bound_paths(prims, material_of)
+    paths = _bound_paths([*prims, *(item.prim for item in placed)], material_of)
     known = read_materials(stage, paths, time, notes, settings.color_space)
     materials = (*known.values(), display_material())
     index: dict[str | None, int] = {path: k for k, path in enumerate(known)}
     index[None] = len(materials) - 1
     names = required_primvars(materials) | {"st"} | detail_primvars(materials)
     shown = {path: materials[k] for path, k in index.items()}
-    cache = UsdGeom.XformCache(time)
     scale = UsdGeom.GetStageMetersPerUnit(stage)
-    meshes = []
-    for prim in prims:
-        to_world = _to_world(prim, cache, scale)
-        reader = read_mesh if prim.IsA(UsdGeom.Mesh) else read_gprim
-        mesh = reader(prim, time, to_world, settings.subdivision_level, names, material_of, notes)
-        if mesh is not None and len(mesh.triangles):
-            meshes.append(add_detail(mesh, shown, to_world, notes))
+    poses = PoseReader(time, cache, notes)
+
+    def read(prim: Usd.Prim, matrix: NDArray[np.float64], rows: int = ROWS) -> MeshArrays | None:
+        given = (settings.subdivision_level, names, material_of, notes, poses.of(prim))
+        if prim.IsA(UsdGeom.Mesh):
+            mesh = read_mesh(prim, time, matrix, *given)
+        else:
+            mesh = read_gprim(prim, time, matrix, *given, rows)
+        if mesh is None or not len(mesh.triangles):
+            return None
+        return add_detail(mesh, shown, matrix, notes)
+
+    found = (read(prim, _to_world(prim, cache, scale)) for prim in prims)
+    meshes = [mesh for mesh in found if mesh is not None]
+    meshes += instance_meshes(
+        placed,
+        lambda item, rows: read(item.prim, _in_meters(item.links[-1].to_root, scale), rows),
+        lambda instancer: _to_world(instancer, cache, scale),
+        scale,
+        names,
+        time,
+        notes,
+    )
+    notes.extend(missing_tile_notes(meshes, materials, index))
     frame = SpectralFrame(
         settings.wavelength_nm, settings.observer, lights.absolute, settings.color_space
     )
-    links = read_links(stage, lights.paths, [mesh.path for mesh in meshes], time)
+    # An instance is linked as its instancer is.
+    linked = [mesh.path.partition("[")[0] for mesh in meshes]
+    links = read_links(stage, lights.paths, linked, time)
     return Scene(tuple(meshes), materials, index, lights, links, frame)
 
 
-def _visible_gprims(
-    stage: Usd.Stage, time: Usd.TimeCode, settings: RenderSettings, notes: list[Note]
-) -> Iterable[Usd.Prim]:
-    """Yield the gprims to draw: visible, of a wanted purpose, inside the mask."""
-    purposes = {purpose for purpose in settings.purposes} | {"default"}
+def _visible_shapes(
+    stage: Usd.Stage,
+    time: Usd.TimeCode,
+    settings: RenderSettings,
+    cache: UsdGeom.XformCache,
+    notes: list[Note],
+) -> tuple[list[Usd.Prim], list[Placed]]:
+    """Return what to draw: visible, of a wanted purpose, inside the mask.
+
+    Returns:
+        The gprims, and what point instancers place.
+    """
+    purposes = frozenset(settings.purposes) | {"default"}
+    instancers = InstancerReader(time, purposes, notes, cache)
+    prims: list[Usd.Prim] = []
+    placed: list[Placed] = []
     walk = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
     for prim in walk:
-        if prim.IsA(UsdGeom.PointInstancer):  # what is below it are its prototypes
+        is_instancer = prim.IsA(UsdGeom.PointInstancer)
+        if is_instancer:  # what is below it are its prototypes
             walk.PruneChildren()
         if not prim.IsA(UsdGeom.Imageable) or not _in_mask(str(prim.GetPath()), settings.mask):
             continue
         imageable = UsdGeom.Imageable(prim)
         if imageable.ComputeVisibility(time) == UsdGeom.Tokens.invisible:
             continue
-        if imageable.ComputePurpose() not in purposes:
+        if is_instancer:
+            placed += instancers.read(prim)
+            continue
+        purpose = imageable.ComputePurpose()
+        if purpose not in purposes or (
+            purpose in _WITH_OWN_VISIBILITY
+            and imageable.ComputeEffectiveVisibility(purpose, time) == UsdGeom.Tokens.invisible
+        ):
             continue
         note = unsupported_note(prim)
         if note is not None:
             notes.append(note)
         elif is_gprim(prim):
-            yield prim
+            prims.append(prim)
+    return prims, placed
 
 
 def _to_world(prim: Usd.Prim, cache: UsdGeom.XformCache, scale: float) -> NDArray[np.float64]:
@@ -167,8 +213,13 @@ def _to_world(prim: Usd.Prim, cache: UsdGeom.XformCache, scale: float) -> NDArra
         raise LayerError(
             f"{describe(prim)}: its transform cannot be used: {reason}; correct its xformOps."
         ) from None
-    matrix[:3] *= scale
-    return matrix
+    return _in_meters(matrix, scale)
+
+
+def _in_meters(matrix: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
+    result = matrix.copy()
+    result[:3] *= scale
+    return result
 
 
 def _in_mask(path: str, mask: tuple[str, ...] | None) -> bool:
@@ -181,8 +232,8 @@ def _bound_paths(prims: list[Usd.Prim], material_of: object) -> list[str]:
     """Return the paths of the materials that meshes and their subsets are bound to, once each."""
     found: dict[str, None] = {}
     for prim in prims:
-        subsets = [child for child in prim.GetChildren() if child.IsA(UsdGeom.Subset)]
-        for bound in (prim, *subsets):
+        subsets = UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim))
+        for bound in (prim, *(subset.GetPrim() for subset in subsets)):
             path = material_of(bound)  # type: ignore[operator]
             if path is not None:
                 found[path] = None

@@ -17,6 +17,7 @@ from usdskin.colorimetry import illuminant, xyz_to_rgb, xyz_weights
 from usdskin.render.detail import check_normal_map, frames_of
 from usdskin.render.inputs import PrimvarInput, TextureInput
 from usdskin.render.materials import SkinMaterial, SurfaceMaterial
+from usdskin.render.memory import available_bytes
 from usdskin.render.relief import slopes, unit_normals
 from usdskin.render.surface_rows import (
     MaterialRows,
@@ -27,10 +28,14 @@ from usdskin.render.surface_rows import (
     row_parts,
     skin_rows,
 )
-from usdskin.render.textures import Texture, pack_textures, read_texture
+from usdskin.render.textures import Texture, read_texture
+from usdskin.render.udim import TiledTexture, is_tiled, pack_tiles, tile_files
 from usdskin.warp_kernels import structs
 
 FloatArray = NDArray[np.float64]
+
+_TEXTURE_MB = 2048
+"""Most memory for one texture or tile [MiB]."""
 
 _CHANNELS = {"rgb": -1, "rgba": -1, "r": 0, "g": 1, "b": 2, "a": 3}
 
@@ -93,6 +98,12 @@ def build_surfaces(
     return surfaces
 
 
+def _texture_limit_mb() -> int:
+    """Return how large the next texture may be [MiB]: it is copied once for the device."""
+    there = available_bytes()
+    return _TEXTURE_MB if there is None else min(_TEXTURE_MB, there // (2 * 2**20))
+
+
 def band_groups(bands: int) -> int:
     """Return how many groups of four hold that many bands."""
     return -(-bands // 4)
@@ -104,7 +115,7 @@ class _Slots:
 
     primvars: dict[str, int]
     rendering_space: str
-    textures: list[Texture] = field(default_factory=list)
+    textures: list[Texture | TiledTexture] = field(default_factory=list)
     known: dict[Hashable, int] = field(default_factory=dict)
     texture: list[int] = field(default_factory=list)
     primvar: list[int] = field(default_factory=list)
@@ -131,26 +142,41 @@ class _Slots:
 
     def _texture(self, value: TextureInput, weight_count: int, which: int) -> int:
         relief = which if which in (structs.INPUT_NORMAL, structs.INPUT_BUMP) else None
-        key = (value.texture_key(), weight_count, relief, relief is not None and value.channel)
+        tiled = is_tiled(str(value.file))
+        key = (
+            value.texture_key(), weight_count, value.fallback if tiled else None, relief,
+            relief is not None and value.channel,
+        )  # fmt: skip
         if key not in self.known:
             first = value.first_channel
             channels = tuple(range(first, min(first + 4, weight_count))) if weight_count else None
+
+            def read(file: str) -> Texture:
+                texture = read_texture(
+                    file,
+                    value.source_color_space,
+                    value.scale,
+                    value.bias,
+                    "clamp" if tiled else value.wrap_s,
+                    "clamp" if tiled else value.wrap_t,
+                    rendering_space=self.rendering_space,
+                    channels=channels,
+                    max_mb=_texture_limit_mb(),
+                )
+                if relief == structs.INPUT_NORMAL:
+                    return unit_normals(texture)
+                if relief == structs.INPUT_BUMP:
+                    return slopes(texture, _CHANNELS[value.channel])
+                return texture
+
             self.known[key] = len(self.textures)
-            texture = read_texture(
-                str(value.file),
-                value.source_color_space,
-                value.scale,
-                value.bias,
-                value.wrap_s,
-                value.wrap_t,
-                rendering_space=self.rendering_space,
-                channels=channels,
-            )
-            if relief == structs.INPUT_NORMAL:
-                texture = unit_normals(texture)
-            elif relief == structs.INPUT_BUMP:
-                texture = slopes(texture, _CHANNELS[value.channel])
-            self.textures.append(texture)
+            if tiled:
+                fallback = (0.0, 0.0, 0.0, 0.0) if weight_count else value.fallback
+                files = tile_files(str(value.file))
+                tiles = {place: read(file) for place, file in sorted(files.items())}
+                self.textures.append(TiledTexture(str(value.file), tiles, fallback))
+            else:
+                self.textures.append(read(str(value.file)))
         return self.known[key]
 
 
@@ -202,7 +228,9 @@ def _upload(
     matrices = np.array(slots.matrix).reshape(-1, 2, 3)
     target.slot_matrix_u = floats(matrices[:, 0], wp.vec3f)
     target.slot_matrix_v = floats(matrices[:, 1], wp.vec3f)
-    packed = pack_textures(slots.textures)
+    tiles = pack_tiles(slots.textures)
+    packed = tiles.textures
+    target.texture_tile = ints(tiles.table)
     target.texel = floats(packed.texels, wp.vec4f)
     target.texture_border = floats(packed.borders, wp.vec4f)
     target.texture_level = wp.array(packed.levels, dtype=wp.vec3i, device=device)

@@ -199,8 +199,10 @@ def _resolve(attribute: Usd.Attribute, asset: Sdf.AssetPath) -> str:
     if asset.resolvedPath:
         return str(asset.resolvedPath)
     layer = attribute.GetPropertyStack()[0].layer
-    if "<UDIM>" in asset.path and UsdShade.UdimUtils.ResolveUdimTilePaths(asset.path, layer):
-        return str(layer.ComputeAbsolutePath(asset.path))
+    if "<UDIM>" in asset.path:
+        tiled = UsdShade.UdimUtils.ResolveUdimPath(asset.path, layer)
+        if tiled:
+            return str(tiled)
     raise LayerError(
         f"{describe(attribute)}: {attribute.GetName()} names @{asset.path}@, which is not there; "
         "restore it or correct the path"

@@ -105,7 +105,7 @@ def read_texture(
 
     Raises:
         ImageError: The file is missing, broken, too large or not finite.
-        LayerError: A setting that UsdUVTexture does not know, or a tiled (UDIM) texture.
+        LayerError: A setting that UsdUVTexture does not know.
     """
     _check_settings(path, source_color_space, {"wrapS": wrap_s, "wrapT": wrap_t})
     image = read_image(path, max_mb)
@@ -234,11 +234,6 @@ def _halved(pixels: FloatArray, axis: int) -> FloatArray:
 
 
 def _check_settings(path: str, source_color_space: str, wraps: dict[str, str]) -> None:
-    if "<UDIM>" in str(path):
-        raise LayerError(
-            f"{path}: tiled (UDIM) textures are not supported yet; bake the tiles that the "
-            "geometry uses into one picture."
-        )
     spaces = ("auto", "raw", "sRGB", *color_space_names())
     if source_color_space not in spaces:
         raise LayerError(
