@@ -174,11 +174,9 @@ def _wrap_index(i: wp.int32, size: wp.int32, mode: wp.int32) -> wp.int32:
 
 @wp.func
 def _texel(
-    materials: Materials, texture: wp.int32, level: wp.vec3i, i: wp.int32, j: wp.int32
+    materials: Materials, texture: wp.int32, level: wp.vec3i, row: wp.int32, column: wp.int32
 ) -> wp.vec4f:
-    info = materials.texture_info[texture]
-    column = _wrap_index(j, level[1], info[1])
-    row = _wrap_index(i, level[2], info[2])
+    """Return the texel of a wrapped row and column, the border where either is negative."""
     if column < 0 or row < 0:
         return materials.texture_border[texture]
     return materials.texel[level[0] + row * level[1] + column]
@@ -189,16 +187,21 @@ def _sample_level(
     materials: Materials, texture: wp.int32, lower: wp.int32, st: wp.vec2f
 ) -> wp.vec4f:
     level = materials.texture_level[texture, lower]
+    info = materials.texture_info[texture]
     x = st[0] * wp.float32(level[1]) - 0.5
     y = (1.0 - st[1]) * wp.float32(level[2]) - 0.5
     j = wp.int32(wp.floor(x))
     i = wp.int32(wp.floor(y))
     fx = x - wp.float32(j)
     fy = y - wp.float32(i)
-    top = (1.0 - fx) * _texel(materials, texture, level, i, j)
-    top += fx * _texel(materials, texture, level, i, j + 1)
-    bottom = (1.0 - fx) * _texel(materials, texture, level, i + 1, j)
-    bottom += fx * _texel(materials, texture, level, i + 1, j + 1)
+    left = _wrap_index(j, level[1], info[1])
+    right = _wrap_index(j + 1, level[1], info[1])
+    upper = _wrap_index(i, level[2], info[2])
+    under = _wrap_index(i + 1, level[2], info[2])
+    top = (1.0 - fx) * _texel(materials, texture, level, upper, left)
+    top += fx * _texel(materials, texture, level, upper, right)
+    bottom = (1.0 - fx) * _texel(materials, texture, level, under, left)
+    bottom += fx * _texel(materials, texture, level, under, right)
     return (1.0 - fy) * top + fy * bottom
 
 
@@ -213,8 +216,12 @@ def sample_texture(
     level = wp.clamp(wp.log2(wp.max(texels, 1.0e-6)), 0.0, wp.float32(info[0] - 1))
     lower = wp.int32(level)
     blend = level - wp.float32(lower)
-    result = _sample_level(materials, texture, lower, st)
+    levels = int(1)
     if blend > 0.0:
-        upper = _sample_level(materials, texture, lower + 1, st)
-        result = (1.0 - blend) * result + blend * upper
+        levels = 2
+    result = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    share = 1.0 - blend
+    for k in range(levels):  # not unrolled: every caller has a copy of this to compile
+        result += share * _sample_level(materials, texture, lower + k, st)
+        share = blend
     return result

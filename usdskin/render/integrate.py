@@ -7,19 +7,21 @@ the picture is the same whatever the tiles, threads or their order.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from usdskin import compilation
 from usdskin.device import Workers
 from usdskin.progress import Progress
 from usdskin.render.cameras import Camera
 from usdskin.render.film import sample_offsets
 from usdskin.render.projection import project
 from usdskin.render.surfaces import band_groups
-from usdskin.warp_kernels import data, film, raster, structs
+from usdskin.warp_kernels import data, film, raster, reflectance_map, structs
 
 TILE_PIXELS = 16384
 """Pixels of one launch on the CPU."""
@@ -76,6 +78,17 @@ class Picture:
     """Spectral radiance, shape [height, width, bands]."""
 
 
+def picture_kernels(device: str, with_data: bool) -> tuple[ModuleType, ...]:
+    """Return the kernels that every picture needs, the costliest to compile first.
+
+    Args:
+        device: Where they run.
+        with_data: Whether data parts are written beside the beauty.
+    """
+    beauty = (film, raster) if device == "cpu" else (film,)
+    return (*beauty, reflectance_map, data) if with_data else (*beauty, reflectance_map)
+
+
 def device_camera(camera: Camera, resolution: tuple[int, int]) -> structs.CameraRays:
     """Return a camera as the kernels take it."""
     rays = structs.CameraRays()
@@ -128,7 +141,7 @@ def integrate(
     rows = min(max(1, chunk // width), height)
     projection = None
     if on_host:
-        raster.load(device)
+        compilation.load(raster, device)
         reach = float(np.abs(offsets.numpy()).max())
         projection = project(
             scene.faces.points, scene.faces.triangles, camera, resolution, rows, reach, device
@@ -159,7 +172,7 @@ def integrate(
             xyza[begin:end] = tile.xyza.numpy()
             spectrum[begin:end] = tile.spectrum.numpy()
 
-    film.load(device)  # once, before the threads ask for it together
+    compilation.load(film, device)  # once, before the threads ask for it together
     progress.start(count, "render")
     workers.run(count, rows * width, work, progress.advance)
     progress.done()
@@ -187,7 +200,7 @@ def collect_data(
     width, height = resolution
     count = width * height
     device = workers.device
-    data.load(device)
+    compilation.load(data, device)
     rays = device_camera(camera, resolution)
     found: dict[str, NDArray[Any]] = {
         "normal": np.zeros((count, 3), np.float32),

@@ -9,13 +9,14 @@ from __future__ import annotations
 import time as clock
 from pathlib import Path
 
+from usdskin import compilation
 from usdskin.device import Workers, open_workers
 from usdskin.errors import FramesError, UsdSkinError
 from usdskin.frames import frame_path
 from usdskin.notes import Note
 from usdskin.progress import Progress
 from usdskin.render.cameras import read_camera
-from usdskin.render.integrate import DeviceScene, collect_data, integrate
+from usdskin.render.integrate import DeviceScene, collect_data, integrate, picture_kernels
 from usdskin.render.light_maps import LightField
 from usdskin.render.opening import opened
 from usdskin.render.outputs import Shot, write_picture
@@ -51,13 +52,16 @@ def render_stage(
         prepare_folders(file for product in job.products for file in product.files)
         workers = open_workers(job.settings.device, job.settings.threads)
         _lap(report.seconds, "open", begun)
-        for frame in job.frames:
-            try:
-                _render_frame(stage, job, frame, workers, progress, report)
-            except UsdSkinError as error:
-                if len(job.frames) == 1:
-                    raise
-                report.failures[f"{frame.number:g}"] = str(error)
+        try:
+            for frame in job.frames:
+                try:
+                    _render_frame(stage, job, frame, workers, progress, report)
+                except UsdSkinError as error:
+                    if len(job.frames) == 1:
+                        raise
+                    report.failures[f"{frame.number:g}"] = str(error)
+        finally:
+            compilation.abandon()
     if report.failures and len(report.failures) == len(job.frames):
         number, reason = next(iter(report.failures.items()))
         raise FramesError(f"every frame failed; the first, {number}: {reason}")
@@ -84,6 +88,8 @@ def _render_frame(
         return
     seconds = report.seconds
     begun = clock.perf_counter()
+    with_data = any(product.aovs for product, _ in wanted)
+    compilation.begin(picture_kernels(workers.device, with_data), workers.device, progress)
     scene = read_scene(stage, frame.time, job.settings, report.notes)
     begun = _lap(seconds, "read", begun)
     # Straight alpha needs the dome hidden, and every EXR has alpha.
@@ -91,7 +97,9 @@ def _render_frame(
     device_scene, light = upload(
         scene, workers, show_dome=show_dome, brute=job.settings.spectral_method == "brute"
     )
-    _lap(seconds, "bake", begun)
+    begun = _lap(seconds, "bake", begun)
+    compilation.finish()
+    _lap(seconds, "compile", begun)
     for product, files in wanted:
         _render_product(
             stage, job, frame, product, files, scene, device_scene, light, workers, progress, report
