@@ -116,6 +116,16 @@ _PATH = click.Path(path_type=Path)
 )
 @click.option("--skip-existing", is_flag=True, help="Leave frames that are there already.")
 @click.option(
+    "--resume", is_flag=True, help="Go on with a picture that was interrupted: same pixels."
+)
+@click.option(
+    "--snapshot",
+    "snapshot_s",
+    type=click.FloatRange(min=0.1),
+    metavar="SECONDS",
+    help="Write <file>.snapshot.png of what is finished, this often.",
+)
+@click.option(
     "--compression",
     type=click.Choice(["none", "rle", "zips", "zip", "piz"]),
     help="Compression of the EXR.  [default: zip]",

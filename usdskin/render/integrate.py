@@ -18,6 +18,7 @@ from usdskin import compilation
 from usdskin.device import Workers
 from usdskin.progress import Progress
 from usdskin.render.cameras import Camera
+from usdskin.render.checkpoint import Checkpoint, keeping
 from usdskin.render.film import sample_offsets
 from usdskin.render.projection import project
 from usdskin.render.surfaces import band_groups
@@ -114,6 +115,7 @@ def integrate(
     *,
     spectral: bool,
     show_dome: bool,
+    checkpoint: Checkpoint | None = None,
 ) -> Picture:
     """Render a picture.
 
@@ -127,6 +129,7 @@ def integrate(
         progress: Advances by pixels.
         spectral: Whether to return spectra.
         show_dome: Whether the domes are seen behind the surfaces.
+        checkpoint: Keeps what is finished; None keeps nothing.
     """
     width, height = resolution
     count = width * height
@@ -148,6 +151,8 @@ def integrate(
         )
 
     def work(begin: int, end: int) -> None:
+        if tiles.restored(begin, end):
+            return
         tile = structs.Film()
         tile.sample = offsets
         tile.first_pixel = begin
@@ -171,10 +176,12 @@ def integrate(
         if not on_host:
             xyza[begin:end] = tile.xyza.numpy()
             spectrum[begin:end] = tile.spectrum.numpy()
+        tiles.finished(begin, end)
 
     compilation.load(film, device)  # once, before the threads ask for it together
     progress.start(count, "render")
-    workers.run(count, rows * width, work, progress.advance)
+    with keeping(checkpoint, {"xyza": xyza, "spectrum": spectrum}) as tiles:
+        workers.run(count, rows * width, work, progress.advance)
     progress.done()
     return Picture(
         xyza.reshape(height, width, 4),

@@ -5,6 +5,7 @@ Writes: ``OUT.exr`` (beauty and data parts), ``OUT.spectral.exr`` and ``OUT.png`
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from usdskin import __version__
 from usdskin.colorimetry import xyz_to_rgb
 from usdskin.image_output import Part, write_exr, write_spectral_exr
 from usdskin.render.cameras import Camera
+from usdskin.render.checkpoint import Arrays
 from usdskin.render.integrate import DeviceScene, Picture
 from usdskin.render.preview import render_png
 from usdskin.render.products import Product
@@ -133,6 +135,27 @@ def write_picture(
         )
         written.append(files["png"])
     return written
+
+
+def previewing(
+    product: Product, camera: Camera, settings: RenderSettings, shot: Shot
+) -> Callable[[Path, Arrays], None]:
+    """Return what writes a PNG of an unfinished picture; what is not finished is transparent."""
+    width, height = product.resolution
+
+    def write(path: Path, arrays: Arrays) -> None:
+        picture = Picture(arrays["xyza"].reshape(height, width, 4).copy(), None)
+        render_png(
+            path,
+            exposed_rgb(picture, camera, settings),
+            color_space=settings.color_space,
+            ev=settings.ev,
+            white=settings.white,
+            scene_white_xyz=shot.scene_white,
+            view=settings.view,
+        )
+
+    return write
 
 
 def _header(

@@ -16,10 +16,11 @@ from usdskin.frames import frame_path
 from usdskin.notes import Note
 from usdskin.progress import Progress
 from usdskin.render.cameras import read_camera
+from usdskin.render.checkpoint import KEEP_EVERY_S, Checkpoint, fingerprint, partial_path
 from usdskin.render.integrate import DeviceScene, collect_data, integrate, picture_kernels
 from usdskin.render.light_maps import LightField
 from usdskin.render.opening import opened
-from usdskin.render.outputs import Shot, write_picture
+from usdskin.render.outputs import Shot, previewing, write_picture
 from usdskin.render.overrides import RenderOverrides, apply_overrides
 from usdskin.render.products import Product, prepare_folders
 from usdskin.render.scene import Scene, mean_white, read_scene, upload
@@ -114,9 +115,11 @@ def _files(product: Product, frame: Frame, job: RenderJob) -> dict[str, Path]:
         for kind, template in templates.items()
         if template is not None
     }
-    if job.settings.skip_existing and all(path.exists() for path in files.values()):
-        return {}
-    return files
+    if not files or not job.settings.skip_existing:
+        return files
+    unfinished = job.overrides.resume and partial_path(next(iter(files.values()))).exists()
+    there = all(path.exists() for path in files.values())
+    return {} if there and not unfinished else files
 
 
 def _render_product(
@@ -143,6 +146,23 @@ def _render_product(
         product.conform_policy,
         report.notes,
     )
+    shot = Shot(
+        Path(stage.GetRootLayer().identifier).name,
+        frame.number,
+        job.digest(product),
+        tuple(mesh.path for mesh in scene.meshes),
+        scene.lights.absolute,
+        mean_white(scene.lights, scene.frame),
+    )
+    overrides = job.overrides
+    checkpoint = Checkpoint(
+        next(iter(files.values())),
+        lambda: fingerprint(shot.digest, workers.device, settings.dome, scene, camera),
+        report.notes,
+        overrides.resume,
+        overrides.snapshot_s or KEEP_EVERY_S,
+        previewing(product, camera, settings, shot) if overrides.snapshot_s else None,
+    )
     picture = integrate(
         device_scene,
         camera,
@@ -153,6 +173,7 @@ def _render_product(
         progress,
         spectral=product.spectral is not None,
         show_dome=settings.dome == "show",
+        checkpoint=checkpoint,
     )
     sources = {aov.source for aov in product.aovs}
     data = (
@@ -163,17 +184,10 @@ def _render_product(
         else {}
     )
     begun = _lap(seconds, "render", begun)
-    shot = Shot(
-        Path(stage.GetRootLayer().identifier).name,
-        frame.number,
-        job.digest(product),
-        tuple(mesh.path for mesh in scene.meshes),
-        scene.lights.absolute,
-        mean_white(scene.lights, scene.frame),
-    )
     report.paths.extend(
         write_picture(product, files, picture, data, device_scene, camera, settings, shot)
     )
+    checkpoint.remove()
     _lap(seconds, "write", begun)
 
 
