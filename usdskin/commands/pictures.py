@@ -100,7 +100,7 @@ _PATH = click.Path(path_type=Path)
     "aovs",
     type=names,
     metavar="NAME,...",
-    help="Extra parts: N, P, Z, albedo, st, primId, irradiance; or all or none.",
+    help="Extra parts: N, P, Z, albedo, st, primId, irradiance, cryptomatte; or all or none.",
 )
 @click.option(
     "--complexity",

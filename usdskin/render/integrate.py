@@ -6,6 +6,7 @@ the picture is the same whatever the tiles, threads or their order.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -22,7 +23,7 @@ from usdskin.render.checkpoint import Checkpoint, keeping
 from usdskin.render.film import sample_offsets
 from usdskin.render.projection import project
 from usdskin.render.surfaces import band_groups
-from usdskin.warp_kernels import data, film, raster, reflectance_map, structs
+from usdskin.warp_kernels import data, film, matte, raster, reflectance_map, structs
 
 TILE_PIXELS = 16384
 """Pixels of one launch on the CPU."""
@@ -79,15 +80,21 @@ class Picture:
     """Spectral radiance, shape [height, width, bands]."""
 
 
-def picture_kernels(device: str, with_data: bool) -> tuple[ModuleType, ...]:
-    """Return the kernels that every picture needs, the costliest to compile first.
+def picture_kernels(device: str, sources: Collection[str]) -> tuple[ModuleType, ...]:
+    """Return the kernels that a picture is known to need, the costliest to compile first.
 
     Args:
         device: Where they run.
-        with_data: Whether data parts are written beside the beauty.
+        sources: The data parts written beside the beauty.
     """
     beauty = (film, raster) if device == "cpu" else (film,)
-    return (*beauty, reflectance_map, data) if with_data else (*beauty, reflectance_map)
+    mattes = [source for source in sources if source.startswith("crypto")]
+    return (
+        *beauty,
+        reflectance_map,
+        *([matte] if mattes else []),
+        *([data] if len(sources) > len(mattes) else []),
+    )
 
 
 def device_camera(camera: Camera, resolution: tuple[int, int]) -> structs.CameraRays:

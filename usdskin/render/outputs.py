@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from usdskin import __version__
 from usdskin.colorimetry import xyz_to_rgb
 from usdskin.image_output import Part, write_exr, write_spectral_exr
+from usdskin.render.aovs import MATTES
 from usdskin.render.cameras import Camera
 from usdskin.render.checkpoint import Arrays
+from usdskin.render.cryptomatte import matte_parts, metadata
 from usdskin.render.integrate import DeviceScene, Picture
 from usdskin.render.preview import render_png
 from usdskin.render.products import Product
@@ -39,6 +41,9 @@ class Shot:
 
     prim_paths: tuple[str, ...]
     """Path of every primId."""
+
+    material_names: tuple[str, ...]
+    """Path of every material; ``displayColor`` shows what is bound to none."""
 
     absolute: bool
     """Whether radiance is in W m^-2 sr^-1 nm^-1."""
@@ -98,6 +103,13 @@ def write_picture(
                 )
             )
         for aov in product.aovs:
+            if aov.source in MATTES:
+                names = matte_names(shot)[aov.source]
+                parts += matte_parts(aov.name, data[aov.source], names, placed)
+                if product.beauty:  # where most programs look for it
+                    first = {**parts[0].attributes, **metadata(aov.name, names)}
+                    parts[0] = replace(parts[0], attributes=first)
+                continue
             part = _data_part(aov.name, aov.source, data, scene, settings, shot)
             parts.append(replace(part, attributes={**part.attributes, **placed}))
         write_exr(
@@ -194,6 +206,11 @@ def placement_attributes(camera: Camera) -> dict[str, Any]:
         "worldToCamera": np.linalg.inv(camera.to_world).T,
         "usdskin/projection": "orthographic" if camera.orthographic else "perspective",
     }
+
+
+def matte_names(shot: Shot) -> dict[str, tuple[str, ...]]:
+    """Return what each matte tells apart, by matte."""
+    return dict(zip(MATTES, (shot.prim_paths, shot.material_names), strict=True))
 
 
 def _data_part(

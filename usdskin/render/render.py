@@ -15,12 +15,14 @@ from usdskin.errors import FramesError, UsdSkinError
 from usdskin.frames import frame_path
 from usdskin.notes import Note
 from usdskin.progress import Progress
+from usdskin.render.aovs import MATTES
 from usdskin.render.cameras import read_camera
 from usdskin.render.checkpoint import KEEP_EVERY_S, Checkpoint, fingerprint, partial_path
+from usdskin.render.cryptomatte import collect_mattes
 from usdskin.render.integrate import DeviceScene, collect_data, integrate, picture_kernels
 from usdskin.render.light_maps import LightField
 from usdskin.render.opening import opened
-from usdskin.render.outputs import Shot, previewing, write_picture
+from usdskin.render.outputs import Shot, matte_names, previewing, write_picture
 from usdskin.render.overrides import RenderOverrides, apply_overrides
 from usdskin.render.products import Product, prepare_folders
 from usdskin.render.scene import Scene, mean_white, read_scene, upload
@@ -89,8 +91,8 @@ def _render_frame(
         return
     seconds = report.seconds
     begun = clock.perf_counter()
-    with_data = any(product.aovs for product, _ in wanted)
-    compilation.begin(picture_kernels(workers.device, with_data), workers.device, progress)
+    sources = {aov.source for product, _ in wanted for aov in product.aovs}
+    compilation.begin(picture_kernels(workers.device, sources), workers.device, progress)
     scene = read_scene(stage, frame.time, job.settings, report.notes)
     begun = _lap(seconds, "read", begun)
     # Straight alpha needs the dome hidden, and every EXR has alpha.
@@ -151,6 +153,7 @@ def _render_product(
         frame.number,
         job.digest(product),
         tuple(mesh.path for mesh in scene.meshes),
+        tuple(material.path or "displayColor" for material in scene.materials),
         scene.lights.absolute,
         mean_white(scene.lights, scene.frame),
     )
@@ -180,9 +183,19 @@ def _render_product(
         collect_data(
             device_scene, camera, product.resolution, workers, irradiance="irradiance" in sources
         )
-        if sources
+        if sources - set(MATTES)
         else {}
     )
+    if sources & set(MATTES):
+        data |= collect_mattes(
+            device_scene,
+            camera,
+            product.resolution,
+            settings.samples_per_pixel,
+            settings.pixel_filter,
+            matte_names(shot),
+            workers,
+        )
     begun = _lap(seconds, "render", begun)
     report.paths.extend(
         write_picture(product, files, picture, data, device_scene, camera, settings, shot)
