@@ -28,6 +28,10 @@ from usdskin.frames import frame_path, has_placeholder, parse_frames
         ("1-2:0.25", [1, 1.25, 1.5, 1.75, 2]),
         ("-.5-.5:.5", [-0.5, 0, 0.5]),
         ("7-7", [7]),
+        ("5:1x-2", [5, 3, 1]),
+        ("-10:-4x3", [-10, -7, -4]),
+        ("1:2x0.5", [1, 1.5, 2]),
+        ("2.5:0.5", [2.5, 1.5, 0.5]),
     ],
 )
 def test_range_names_its_frames(text, frames):

@@ -367,6 +367,7 @@ def test_preview_can_be_left_out(resolve):
 def test_all_aovs_can_be_asked_for_in_their_order(resolve):
     (picture,) = resolve(aovs=("all",))[0].products
     names = ["N", "P", "Z", "albedo", "st", "primId", "irradiance"]
+    names += ["crypto_object", "crypto_material"]
     assert [aov.name for aov in picture.aovs] == names
     assert resolve(aovs=("primid", "n"))[0].products[0].aovs == (
         Aov("primId", "primId"),

@@ -112,10 +112,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with _terminable():
             return _run(given)
-    except KeyboardInterrupt:
-        return _fail(as_json, "Interrupted", "interrupted.", EXIT_INTERRUPTED)
-    except _TerminatedError:
-        return _fail(as_json, "Terminated", "terminated.", EXIT_TERMINATED)
+    except KeyboardInterrupt as stop:
+        return _fail(as_json, "Interrupted", _with_notes("interrupted.", stop), EXIT_INTERRUPTED)
+    except _TerminatedError as stop:
+        return _fail(as_json, "Terminated", _with_notes("terminated.", stop), EXIT_TERMINATED)
     except UsdSkinError as error:
         return _fail(as_json, type(error).__name__, str(error), error.exit_code)
     except click.UsageError as error:
@@ -177,6 +177,11 @@ def _terminable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _with_notes(message: str, stop: BaseException) -> str:
+    """Return a message with what was told on the way out, such as what was kept."""
+    return " ".join([message, *getattr(stop, "__notes__", ())])
 
 
 def _usage_message(error: click.UsageError) -> str:

@@ -84,14 +84,20 @@ def open_workers(device: str = "auto", threads: int | None = None) -> Workers:
         threads: CPU threads; all cores when None.
 
     Raises:
-        DeviceError: There is no such device.
+        DeviceError: There is no such device, or no folder for compiled kernels.
     """
     # Warp greets on stdout, which belongs to the paths a command prints.
     wp.config.log_level = wp.LOG_ERROR
     # Concurrent launches on the CPU would share one static tile buffer: debug mode crashes.
     wp.config.enable_tiles_in_stack_memory = False
-    with _without_native_warnings():
-        wp.init()
+    try:
+        with _without_native_warnings():
+            wp.init()
+    except OSError as error:
+        raise DeviceError(
+            f"{error.filename or 'WARP_CACHE_PATH'}: no place for compiled kernels "
+            f"({error.strerror or error}); set WARP_CACHE_PATH to a folder that can be written."
+        ) from None
     if device == "auto":
         device = "cuda:0" if wp.is_cuda_available() else "cpu"
     if device.startswith("cuda"):

@@ -233,22 +233,37 @@ def _texel_beside(
 
 
 @wp.func
-def _texel(
-    materials: Materials,
-    texture: wp.int32,
-    tile: wp.vec3i,
-    lower: wp.int32,
-    i: wp.int32,
-    j: wp.int32,
+def _tile_texel(
+    materials: Materials, tiled: wp.int32, tile: wp.vec3i, lower: wp.int32, i: wp.int32, j: wp.int32
 ) -> wp.vec4f:
     level = materials.texture_level[tile[0], lower]
-    if tile[0] != texture:
-        if i < 0 or j < 0 or i >= level[2] or j >= level[1]:
-            return _texel_beside(materials, texture, tile, lower, i, j)
-        return materials.texel[level[0] + i * level[1] + j]
-    info = materials.texture_info[texture]
-    column = _wrap_index(j, level[1], info[1])
-    row = _wrap_index(i, level[2], info[2])
+    if i < 0 or j < 0 or i >= level[2] or j >= level[1]:
+        return _texel_beside(materials, tiled, tile, lower, i, j)
+    return materials.texel[level[0] + i * level[1] + j]
+
+
+@wp.func
+def _sample_tile(
+    materials: Materials, tiled: wp.int32, tile: wp.vec3i, lower: wp.int32, at: wp.vec4f
+) -> wp.vec4f:
+    """Return a level of a tile, and of those beside it, at (fractions, x, y) [texel]."""
+    j = wp.int32(wp.floor(at[2]))
+    i = wp.int32(wp.floor(at[3]))
+    total = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    for k in range(4):  # not unrolled, as below
+        across = k % 2
+        down = k / 2
+        weight = wp.where(across == 1, at[0], 1.0 - at[0])
+        weight = weight * wp.where(down == 1, at[1], 1.0 - at[1])
+        total += weight * _tile_texel(materials, tiled, tile, lower, i + down, j + across)
+    return total
+
+
+@wp.func
+def _texel(
+    materials: Materials, texture: wp.int32, level: wp.vec3i, row: wp.int32, column: wp.int32
+) -> wp.vec4f:
+    """Return the texel of a wrapped row and column, the border where either is negative."""
     if column < 0 or row < 0:
         return materials.texture_border[texture]
     return materials.texel[level[0] + row * level[1] + column]
@@ -259,16 +274,23 @@ def _sample_level(
     materials: Materials, texture: wp.int32, tile: wp.vec3i, lower: wp.int32, st: wp.vec2f
 ) -> wp.vec4f:
     level = materials.texture_level[tile[0], lower]
+    info = materials.texture_info[texture]
     x = st[0] * wp.float32(level[1]) - 0.5
     y = (1.0 - st[1]) * wp.float32(level[2]) - 0.5
     j = wp.int32(wp.floor(x))
     i = wp.int32(wp.floor(y))
     fx = x - wp.float32(j)
     fy = y - wp.float32(i)
-    top = (1.0 - fx) * _texel(materials, texture, tile, lower, i, j)
-    top += fx * _texel(materials, texture, tile, lower, i, j + 1)
-    bottom = (1.0 - fx) * _texel(materials, texture, tile, lower, i + 1, j)
-    bottom += fx * _texel(materials, texture, tile, lower, i + 1, j + 1)
+    if tile[0] != texture:
+        return _sample_tile(materials, texture, tile, lower, wp.vec4f(fx, fy, x, y))
+    left = _wrap_index(j, level[1], info[1])
+    right = _wrap_index(j + 1, level[1], info[1])
+    upper = _wrap_index(i, level[2], info[2])
+    under = _wrap_index(i + 1, level[2], info[2])
+    top = (1.0 - fx) * _texel(materials, texture, level, upper, left)
+    top += fx * _texel(materials, texture, level, upper, right)
+    bottom = (1.0 - fx) * _texel(materials, texture, level, under, left)
+    bottom += fx * _texel(materials, texture, level, under, right)
     return (1.0 - fy) * top + fy * bottom
 
 
@@ -303,8 +325,12 @@ def sample_texture(
     level = wp.clamp(wp.log2(wp.max(texels, 1.0e-6)), 0.0, wp.float32(info[0] - 1))
     lower = wp.int32(level)
     blend = level - wp.float32(lower)
-    result = _sample_level(materials, texture, tile, lower, local)
+    levels = int(1)
     if blend > 0.0:
-        upper = _sample_level(materials, texture, tile, lower + 1, local)
-        result = (1.0 - blend) * result + blend * upper
+        levels = 2
+    result = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+    share = 1.0 - blend
+    for k in range(levels):  # not unrolled: every caller has a copy of this to compile
+        result += share * _sample_level(materials, texture, tile, lower + k, local)
+        share = blend
     return result

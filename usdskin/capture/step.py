@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from usdskin import compilation
 from usdskin.capture.publish import Publication, output_files, publish
 from usdskin.capture.quality.measure import PlacedView, measure
 from usdskin.capture.quality.report import CaptureReport
@@ -39,6 +40,8 @@ from usdskin.photographs.merge import MergedView, MergeReport, merge_bracket
 from usdskin.prims import FisheyeLens, Shoot, View, read_shoot
 from usdskin.progress import Progress, SilentProgress
 from usdskin.replacing import scratch_beside
+from usdskin.warp_kernels import bracket as bracket_kernels
+from usdskin.warp_kernels import panorama as panorama_kernels
 
 FloatArray = NDArray[np.float64]
 
@@ -125,6 +128,7 @@ def capture_shoot(
     photographs = [image for view in described.views for image in view.bracket.images]
     check_output(output, [*layers, *photographs], output_files(output), step="capture")
     workers = open_workers(options.device, options.threads)
+    compilation.prepare((panorama_kernels, bracket_kernels), workers.device, progress)
     with scratch_beside(output) as scratch:
         placed, panorama, alignment = _compose(
             described, options, workers, scratch, progress, notes, clock

@@ -118,8 +118,8 @@ _PATH = click.Path(path_type=Path)
     "aovs",
     type=names,
     metavar="NAME,...",
-    help="Extra parts: N, P, Z, albedo, st, primId, irradiance; traced also diffuse, specular, "
-    "emission, direct, indirect, visibility, variance, sampleCount; or all or none.",
+    help="Extra parts: N, P, Z, albedo, st, primId, irradiance, cryptomatte; traced also diffuse, "
+    "specular, emission, direct, indirect, visibility, variance, sampleCount; or all or none.",
 )
 @click.option(
     "--complexity",
@@ -134,6 +134,16 @@ _PATH = click.Path(path_type=Path)
     help="Color-matching functions.",
 )
 @click.option("--skip-existing", is_flag=True, help="Leave frames that are there already.")
+@click.option(
+    "--resume", is_flag=True, help="Go on with a picture that was interrupted: same pixels."
+)
+@click.option(
+    "--snapshot",
+    "snapshot_s",
+    type=click.FloatRange(min=0.1),
+    metavar="SECONDS",
+    help="Write <file>.snapshot.png of what is finished, this often.",
+)
 @click.option(
     "--compression",
     type=click.Choice(["none", "rle", "zips", "zip", "piz"]),

@@ -1,4 +1,4 @@
-"""``schema-path`` and ``doctor``: what a machine and its other programs need to know."""
+"""``warmup``, ``schema-path`` and ``doctor``: what a machine and its other programs need."""
 
 from __future__ import annotations
 
@@ -80,6 +80,54 @@ def doctor(options: GlobalOptions, /) -> int:
     return EXIT_FINDINGS if failed else 0
 
 
+@click.command("warmup", cls=StepCommand)
+@click.pass_obj
+def warmup(options: GlobalOptions, /) -> None:
+    r"""Compile every kernel for this machine, so that the first picture need not wait for it.
+
+    Prints the time each module of kernels took and the folder they are kept in. Once is enough
+    for a version of usdskin and of Warp on one kind of processor.
+
+    \b
+    Examples:
+        usdskin warmup
+        WARP_CACHE_PATH=/shared/kernels usdskin warmup --device cpu
+    """
+    reporter = Reporter(options)
+    import time
+
+    from usdskin.compilation import cache_folder, warm_up
+    from usdskin.device import open_workers
+
+    begun = time.perf_counter()
+    compiled = 0
+    with reporter:
+        device = open_workers(options.device).device
+        for kernels in warm_up(device, options.threads, reporter.progress()):
+            compiled += kernels.compiled
+            reporter.event(
+                "kernels",
+                module=kernels.name,
+                compiled=kernels.compiled,
+                seconds=round(kernels.seconds, 3),
+            )
+            if not reporter.json:
+                done = f"compiled in {kernels.seconds:.1f} s" if kernels.compiled else "ready"
+                click.echo(f"{kernels.name + ':':18} {done}")
+    seconds = time.perf_counter() - begun
+    if reporter.json:
+        reporter.event(
+            "warmup",
+            device=device,
+            compiled=compiled,
+            seconds=round(seconds, 3),
+            cache=str(cache_folder()),
+        )
+    else:
+        what = f"{compiled} modules compiled" if compiled else "all was ready"
+        click.echo(f"{what} for {device} ({seconds:.1f} s); kept in {cache_folder()}")
+
+
 def _state(distribution: str, module: str, needed: bool) -> tuple[str, bool]:
     from importlib import import_module, metadata  # 30 ms that --help does not need
 
@@ -111,4 +159,4 @@ def _warp_facts() -> list[tuple[str, str]]:
     return [*facts, ("kernel cache", str(warp.config.kernel_cache_dir))]
 
 
-COMMANDS = (schema_path, doctor)
+COMMANDS = (warmup, schema_path, doctor)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from usdskin import compilation
 from usdskin.device import Workers
 from usdskin.errors import ImageError
 from usdskin.notes import Note
@@ -29,6 +30,7 @@ from usdskin.photographs.merge_rows import merge_all_rows
 from usdskin.photographs.noise import NoiseModel, find_noise
 from usdskin.prims.views import Bracketed
 from usdskin.progress import Progress, SilentProgress
+from usdskin.warp_kernels import bracket as bracket_kernels
 from usdskin.warp_kernels.bracket import CLIPPED, DARK, MOVED, SATURATION
 
 if TYPE_CHECKING:
@@ -136,6 +138,7 @@ def merge_bracket(
     """
     progress = SilentProgress() if progress is None else progress
     notes = [] if notes is None else notes
+    compilation.prepare((bracket_kernels,), workers.device, progress)
     progress.start(len(view.bracket.images), f"open {view.name}")
     with open_bracket(view, scratch, response, max_mb, progress.advance) as bracket:
         samples = draw_samples(bracket, workers)

@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from usdskin import compilation
 from usdskin.device import Workers, vec3
 from usdskin.photographs.bracket import OpenBracket, reading_workers
 from usdskin.photographs.noise import NoiseModel
@@ -73,7 +74,7 @@ def merge_all_rows(
     Raises:
         ImageError: A file is broken.
     """
-    kernels.load(workers.device)
+    compilation.load(kernels, workers.device)
     height, width = bracket.size
     values = np.empty((height, width, 3), np.float32)
     variance = np.empty((height, width, 3), np.float32)

@@ -14,7 +14,10 @@ from usdskin.render.opinions import choose, text
 # After ours, which register the schemas.
 from pxr import UsdRender
 
-MAP_SOURCES = ("N", "P", "Z", "albedo", "st", "primId", "irradiance")
+MATTES = ("crypto_object", "crypto_material")
+"""Those of them that are mattes (``usdskin.render.cryptomatte``): of prims and of materials."""
+
+MAP_SOURCES = ("N", "P", "Z", "albedo", "st", "primId", "irradiance", *MATTES)
 """Data parts of any integrator, in the order they are written."""
 
 TRACED_SOURCES = (
@@ -42,9 +45,14 @@ _SOURCE_NAMES = {
     "visibility": ("visibility", "shadow"),
     "variance": ("variance",),
     "sampleCount": ("samplecount",),
+    "crypto_object": ("crypto_object", "cryptoobject"),
+    "crypto_material": ("crypto_material", "cryptomaterial"),
 }
 _SOURCES = {name: source for source, names in _SOURCE_NAMES.items() for name in names}
 """What a RenderVar's sourceName, or its prim's name, in lower case, stands for."""
+
+_GROUPS = {"cryptomatte": MATTES}
+"""Names that ``--aov`` takes for several parts."""
 
 _BEAUTY_EXPRESSIONS = ("C.*", "C.*L", "C.*[LO]", "C.*O", "C[DS]*L", "C[DS]*[LO]", "C<.*>[LO]")
 """Light path expressions that name everything the camera sees."""
@@ -149,13 +157,15 @@ def requested_aovs(names: Sequence[str], traced: bool) -> tuple[Aov, ...]:
     if tuple(names) == ("none",):
         return ()
     wanted: dict[str, None] = {}
-    for name in names:
+    spread = [part for name in names for part in _GROUPS.get(name.lower(), (name,))]
+    for name in spread:
         source = _SOURCES.get(name.lower(), "")
         if source in TRACED_SOURCES and not traced:
             raise UsageError(f"--aov {name}: only --integrator traced measures it; use that.")
         if source not in AOV_SOURCES:
             raise UsageError(
-                f"--aov {name}: no such part; choose from {', '.join(AOV_SOURCES)}, all or none."
+                f"--aov {name}: no such part; choose from {', '.join(AOV_SOURCES)}, "
+                "cryptomatte, all or none."
             )
         wanted[source] = None
     return tuple(Aov(source, source) for source in wanted)

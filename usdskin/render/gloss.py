@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from usdskin import compilation
 from usdskin.device import Workers
 from usdskin.render.environment import group_count, refined
 from usdskin.render.lights import DomeLight, Lights
@@ -50,7 +51,7 @@ def add_reflections(
     parts: list[NDArray[np.float32]] = []
     used, first = 0, 0
     if alphas and lights.domes:
-        specular.load(device)
+        compilation.load(specular, device)
     for dome, blocks in zip(lights.domes, reflected_blocks, strict=True):
         count = group_count(dome.coefficients.shape[2])
         for g in range(count if alphas else 0):

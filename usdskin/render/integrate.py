@@ -6,20 +6,25 @@ the picture is the same whatever the tiles, threads or their order.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from usdskin import compilation
 from usdskin.device import Workers
 from usdskin.progress import Progress
+from usdskin.render.aovs import TRACED_SOURCES
 from usdskin.render.cameras import Camera
+from usdskin.render.checkpoint import Checkpoint, keeping
 from usdskin.render.film import sample_offsets
 from usdskin.render.projection import project
 from usdskin.render.surfaces import band_groups
-from usdskin.warp_kernels import data, film, raster, structs
+from usdskin.warp_kernels import data, film, matte, raster, reflectance_map, structs, trace
 
 TILE_PIXELS = 16384
 """Pixels of one launch on the CPU."""
@@ -80,6 +85,26 @@ class Picture:
     ``variance`` of Y, ``sampleCount`` and ``visibility``, shape [height, width]."""
 
 
+def picture_kernels(device: str, sources: Collection[str], traced: bool) -> tuple[ModuleType, ...]:
+    """Return the kernels that a picture is known to need, the costliest to compile first.
+
+    Args:
+        device: Where they run.
+        sources: The data parts written beside the beauty.
+        traced: Whether light is traced.
+    """
+    first = trace if traced else film
+    beauty = (first, raster) if device == "cpu" else (first,)
+    mattes = [source for source in sources if source.startswith("crypto")]
+    sources = [source for source in sources if source not in TRACED_SOURCES]
+    return (
+        *beauty,
+        reflectance_map,
+        *([matte] if mattes else []),
+        *([data] if len(sources) > len(mattes) else []),
+    )
+
+
 def device_camera(camera: Camera, resolution: tuple[int, int]) -> structs.CameraRays:
     """Return a camera as the kernels take it."""
     rays = structs.CameraRays()
@@ -106,6 +131,7 @@ def integrate(
     *,
     spectral: bool,
     show_dome: bool,
+    checkpoint: Checkpoint | None = None,
 ) -> Picture:
     """Render a picture.
 
@@ -119,6 +145,7 @@ def integrate(
         progress: Advances by pixels.
         spectral: Whether to return spectra.
         show_dome: Whether the domes are seen behind the surfaces.
+        checkpoint: Keeps what is finished; None keeps nothing.
     """
     width, height = resolution
     count = width * height
@@ -133,13 +160,15 @@ def integrate(
     rows = min(max(1, chunk // width), height)
     projection = None
     if on_host and camera.lens_radius <= 0.0:
-        raster.load(device)
+        compilation.load(raster, device)
         reach = float(np.abs(offsets.numpy()).max())
         projection = project(
             scene.faces.points, scene.faces.triangles, camera, resolution, rows, reach, device
         )
 
     def work(begin: int, end: int) -> None:
+        if tiles.restored(begin, end):
+            return
         tile = structs.Film()
         tile.sample = offsets
         tile.first_pixel = begin
@@ -163,10 +192,12 @@ def integrate(
         if not on_host:
             xyza[begin:end] = tile.xyza.numpy()
             spectrum[begin:end] = tile.spectrum.numpy()
+        tiles.finished(begin, end)
 
-    film.load(device)  # once, before the threads ask for it together
+    compilation.load(film, device)  # once, before the threads ask for it together
     progress.start(count, "render")
-    workers.run(count, rows * width, work, progress.advance)
+    with keeping(checkpoint, {"xyza": xyza, "spectrum": spectrum}) as tiles:
+        workers.run(count, rows * width, work, progress.advance)
     progress.done()
     return Picture(
         xyza.reshape(height, width, 4),
@@ -192,7 +223,7 @@ def collect_data(
     width, height = resolution
     count = width * height
     device = workers.device
-    data.load(device)
+    compilation.load(data, device)
     rays = device_camera(camera, resolution)
     found: dict[str, NDArray[Any]] = {
         "normal": np.zeros((count, 3), np.float32),

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin import __version__
+from usdskin import __version__, compilation
 from usdskin.colorimetry import xyz_to_rgb, xyz_weights
 from usdskin.device import open_workers
 from usdskin.errors import LayerError, UsageError
@@ -34,7 +34,7 @@ from usdskin.render.scene import mean_white
 from usdskin.render.settings import RenderReport, RenderSettings, read_settings
 from usdskin.render.surface_rows import SpectralFrame, wraps_of
 from usdskin.render.surfaces import band_groups, build_surfaces
-from usdskin.warp_kernels import normals, structs
+from usdskin.warp_kernels import normals, reflectance_map, structs
 
 # isort: split
 # After ours, which register the schemas.
@@ -90,8 +90,7 @@ def write_map(
         frame = SpectralFrame(
             settings.wavelength_nm, settings.observer, lights.absolute, settings.color_space
         )
-    progress.start(1, "map")
-    xyz, spectrum = _shade(lights, skin, frame, width, settings)
+    xyz, spectrum = _shade(lights, skin, frame, width, settings, progress)
     progress.advance(1)
     progress.done()
     computed = clock.perf_counter()
@@ -203,10 +202,17 @@ def _chosen_skin(
 
 
 def _shade(
-    lights: Lights, skin: SkinMaterial, frame: SpectralFrame, width: int, settings: RenderSettings
+    lights: Lights,
+    skin: SkinMaterial,
+    frame: SpectralFrame,
+    width: int,
+    settings: RenderSettings,
+    progress: Progress,
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Return XYZ [h, w, 3] and spectra [h, w, bands] at the middle of every texel."""
     workers = open_workers(settings.device, settings.threads)
+    compilation.prepare((normals, reflectance_map), workers.device, progress)
+    progress.start(1, "map")
     height, bands = width // 2, len(frame.wavelength_nm)
     wraps = wraps_of([skin])
     light = build_light_field(lights, wraps, workers, bands)

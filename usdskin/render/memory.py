@@ -10,7 +10,7 @@ from usdskin.errors import DeviceError
 if TYPE_CHECKING:
     from usdskin.render.products import Product
 
-_AOV_CHANNELS = {"Z": 1, "primId": 1, "st": 2}
+_AOV_CHANNELS = {"Z": 1, "primId": 1, "st": 2, "crypto_object": 12, "crypto_material": 12}
 _BYTES = 4
 _BEAUTY_CHANNELS = 8
 """Accumulated XYZ and alpha, and the RGBA that is written."""

@@ -5,6 +5,7 @@ Writes: ``OUT.exr`` (beauty and data parts), ``OUT.spectral.exr`` and ``OUT.png`
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,10 @@ from numpy.typing import NDArray
 from usdskin import __version__
 from usdskin.colorimetry import xyz_to_rgb
 from usdskin.image_output import Part, write_exr, write_spectral_exr
-from usdskin.render.aovs import TRACED_SOURCES
+from usdskin.render.aovs import MATTES, TRACED_SOURCES
 from usdskin.render.cameras import Camera
+from usdskin.render.checkpoint import Arrays
+from usdskin.render.cryptomatte import matte_parts, metadata
 from usdskin.render.integrate import DeviceScene, Picture
 from usdskin.render.preview import render_png
 from usdskin.render.products import Product
@@ -38,6 +41,9 @@ class Shot:
 
     prim_paths: tuple[str, ...]
     """Path of every primId."""
+
+    material_names: tuple[str, ...]
+    """Path of every material; ``displayColor`` shows what is bound to none."""
 
     absolute: bool
     """Whether radiance is in W m^-2 sr^-1 nm^-1."""
@@ -97,6 +103,13 @@ def write_picture(
                 )
             )
         for aov in product.aovs:
+            if aov.source in MATTES:
+                names = matte_names(shot)[aov.source]
+                parts += matte_parts(aov.name, data[aov.source], names, placed)
+                if product.beauty:  # where most programs look for it
+                    first = {**parts[0].attributes, **metadata(aov.name, names)}
+                    parts[0] = replace(parts[0], attributes=first)
+                continue
             if aov.source in TRACED_SOURCES:
                 part = _traced_part(aov.name, picture.extra[aov.source], camera, settings)
             else:
@@ -137,6 +150,27 @@ def write_picture(
         )
         written.append(files["png"])
     return written
+
+
+def previewing(
+    product: Product, camera: Camera, settings: RenderSettings, shot: Shot
+) -> Callable[[Path, Arrays], None]:
+    """Return what writes a PNG of an unfinished picture; what is not finished is transparent."""
+    width, height = product.resolution
+
+    def write(path: Path, arrays: Arrays) -> None:
+        picture = Picture(arrays["xyza"].reshape(height, width, 4).copy(), None)
+        render_png(
+            path,
+            exposed_rgb(picture, camera, settings),
+            color_space=settings.color_space,
+            ev=settings.ev,
+            white=settings.white,
+            scene_white_xyz=shot.scene_white,
+            view=settings.view,
+        )
+
+    return write
 
 
 def _header(
@@ -184,6 +218,11 @@ def _traced_part(name: str, values: FloatImage, camera: Camera, settings: Render
     matrix = xyz_to_rgb(settings.color_space) * camera.exposure_scale
     rgb = values @ matrix.T.astype(np.float32)
     return Part(name, {name: rgb}, {}, "float", settings.color_space)
+
+
+def matte_names(shot: Shot) -> dict[str, tuple[str, ...]]:
+    """Return what each matte tells apart, by matte."""
+    return dict(zip(MATTES, (shot.prim_paths, shot.material_names), strict=True))
 
 
 def _data_part(

@@ -103,6 +103,12 @@ class RenderOverrides:
 
     observer: str | None = None
     skip_existing: bool = False
+    resume: bool = False
+    """Whether an interrupted picture goes on where it ended."""
+
+    snapshot_s: float | None = None
+    """Time between previews of an unfinished picture [s]."""
+
     compression: str | None = None
     allow_outside: bool = False
     """Whether products may be written outside the current folder."""

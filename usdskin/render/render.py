@@ -9,17 +9,20 @@ from __future__ import annotations
 import time as clock
 from pathlib import Path
 
+from usdskin import compilation
 from usdskin.device import Workers, open_workers
 from usdskin.errors import FramesError, UsdSkinError
 from usdskin.frames import frame_path
 from usdskin.notes import Note
 from usdskin.progress import Progress
-from usdskin.render.aovs import TRACED_SOURCES
+from usdskin.render.aovs import MATTES, TRACED_SOURCES
 from usdskin.render.cameras import read_camera
-from usdskin.render.integrate import DeviceScene, collect_data, integrate
+from usdskin.render.checkpoint import KEEP_EVERY_S, Checkpoint, fingerprint, partial_path
+from usdskin.render.cryptomatte import collect_mattes
+from usdskin.render.integrate import DeviceScene, collect_data, integrate, picture_kernels
 from usdskin.render.light_maps import LightField
 from usdskin.render.opening import opened
-from usdskin.render.outputs import Shot, write_picture
+from usdskin.render.outputs import Shot, matte_names, previewing, write_picture
 from usdskin.render.overrides import RenderOverrides, apply_overrides
 from usdskin.render.products import Product, prepare_folders
 from usdskin.render.scene import Scene, read_scene, scene_white, upload
@@ -56,13 +59,16 @@ def render_stage(
         prepare_folders(file for product in job.products for file in product.files)
         workers = open_workers(job.settings.device, job.settings.threads)
         _lap(report.seconds, "open", begun)
-        for frame in job.frames:
-            try:
-                _render_frame(stage, job, frame, workers, progress, report)
-            except UsdSkinError as error:
-                if len(job.frames) == 1:
-                    raise
-                report.failures[f"{frame.number:g}"] = str(error)
+        try:
+            for frame in job.frames:
+                try:
+                    _render_frame(stage, job, frame, workers, progress, report)
+                except UsdSkinError as error:
+                    if len(job.frames) == 1:
+                        raise
+                    report.failures[f"{frame.number:g}"] = str(error)
+        finally:
+            compilation.abandon()
     if report.failures and len(report.failures) == len(job.frames):
         number, reason = next(iter(report.failures.items()))
         raise FramesError(f"every frame failed; the first, {number}: {reason}")
@@ -89,6 +95,12 @@ def _render_frame(
         return
     seconds = report.seconds
     begun = clock.perf_counter()
+    sources = {aov.source for product, _ in wanted for aov in product.aovs}
+    compilation.begin(
+        picture_kernels(workers.device, sources, job.settings.integrator == "traced"),
+        workers.device,
+        progress,
+    )
     scene = read_scene(stage, frame.time, job.settings, report.notes)
     begun = _lap(seconds, "read", begun)
     # Straight alpha needs the dome hidden, and every EXR has alpha.
@@ -103,7 +115,9 @@ def _render_frame(
         traced=traced,
         bounces=job.settings.bounces,
     )
-    _lap(seconds, "bake", begun)
+    begun = _lap(seconds, "bake", begun)
+    compilation.finish()
+    _lap(seconds, "compile", begun)
     for product, files in wanted:
         _render_product(
             stage, job, frame, product, files, scene, device_scene, light, workers, progress, report
@@ -118,9 +132,11 @@ def _files(product: Product, frame: Frame, job: RenderJob) -> dict[str, Path]:
         for kind, template in templates.items()
         if template is not None
     }
-    if job.settings.skip_existing and all(path.exists() for path in files.values()):
-        return {}
-    return files
+    if not files or not job.settings.skip_existing:
+        return files
+    unfinished = job.overrides.resume and partial_path(next(iter(files.values()))).exists()
+    there = all(path.exists() for path in files.values())
+    return {} if there and not unfinished else files
 
 
 def _render_product(
@@ -147,10 +163,28 @@ def _render_product(
         product.conform_policy,
         report.notes,
     )
+    white = scene_white(scene)
+    shot = Shot(
+        Path(stage.GetRootLayer().identifier).name,
+        frame.number,
+        job.digest(product),
+        tuple(mesh.path for mesh in scene.meshes),
+        tuple(material.path or "displayColor" for material in scene.materials),
+        scene.lights.absolute,
+        white,
+    )
+    overrides = job.overrides
+    checkpoint = Checkpoint(
+        next(iter(files.values())),
+        lambda: fingerprint(shot.digest, workers.device, settings.dome, scene, camera),
+        report.notes,
+        overrides.resume,
+        overrides.snapshot_s or KEEP_EVERY_S,
+        previewing(product, camera, settings, shot) if overrides.snapshot_s else None,
+    )
     sources = {aov.source for aov in product.aovs}
     spectral, show_dome = product.spectral is not None, settings.dome == "show"
     if settings.integrator == "traced":
-        white = scene_white(scene)
         picture = integrate_traced(
             device_scene,
             trace_lights(scene.lights, light, scene.frame, workers.device),
@@ -168,6 +202,7 @@ def _render_product(
             spectral=spectral,
             show_dome=show_dome,
             parts=bool(sources & set(TRACED_SOURCES)),
+            checkpoint=checkpoint,
         )
     else:
         picture = integrate(
@@ -180,26 +215,30 @@ def _render_product(
             progress,
             spectral=spectral,
             show_dome=show_dome,
+            checkpoint=checkpoint,
         )
     data = (
         collect_data(
             device_scene, camera, product.resolution, workers, irradiance="irradiance" in sources
         )
-        if sources - set(TRACED_SOURCES)
+        if sources - set(TRACED_SOURCES) - set(MATTES)
         else {}
     )
+    if sources & set(MATTES):
+        data |= collect_mattes(
+            device_scene,
+            camera,
+            product.resolution,
+            settings.samples_per_pixel,
+            settings.pixel_filter,
+            matte_names(shot),
+            workers,
+        )
     begun = _lap(seconds, "render", begun)
-    shot = Shot(
-        Path(stage.GetRootLayer().identifier).name,
-        frame.number,
-        job.digest(product),
-        tuple(mesh.path for mesh in scene.meshes),
-        scene.lights.absolute,
-        scene_white(scene),
-    )
     report.paths.extend(
         write_picture(product, files, picture, data, device_scene, camera, settings, shot)
     )
+    checkpoint.remove()
     _lap(seconds, "write", begun)
 
 

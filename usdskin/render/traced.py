@@ -15,9 +15,11 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from usdskin import compilation
 from usdskin.device import Workers
 from usdskin.progress import Progress
 from usdskin.render.cameras import Camera
+from usdskin.render.checkpoint import Checkpoint, keeping
 from usdskin.render.film import sample_offsets
 from usdskin.render.integrate import (
     GPU_TILE_PIXELS,
@@ -129,6 +131,7 @@ def integrate_traced(
     spectral: bool,
     show_dome: bool,
     parts: bool,
+    checkpoint: Checkpoint | None = None,
 ) -> Picture:
     """Render a shadowed picture.
 
@@ -143,6 +146,7 @@ def integrate_traced(
         spectral: Whether to return spectra.
         show_dome: Whether the domes are seen behind the surfaces.
         parts: Whether to return the light's parts, the variance and the like (``Picture.extra``).
+        checkpoint: Keeps what is finished; None keeps nothing.
     """
     width, height = resolution
     device = workers.device
@@ -162,14 +166,16 @@ def integrate_traced(
     sobol = wp.array(sampling.direction_numbers(), dtype=wp.uint32, device=device)
     projection = None
     if on_host and camera.lens_radius <= 0.0:
-        raster.load(device)
+        compilation.load(raster, device)
         reach = max(float(np.abs(each.offsets.numpy()).max()) for each in passes[:2])
         projection = project(
             scene.faces.points, scene.faces.triangles, camera, resolution, rows, reach, device
         )
-    trace.load(device)
+    compilation.load(trace, device)
 
     def work(begin: int, end: int) -> None:
+        if tiles.restored(begin, end):
+            return
         tile = _Tile(scene, rays, lights, sobol, settings, begin, end, bands, parts, device)
         tile.film.show_dome = int(show_dome)
         active = np.arange(end - begin, dtype=np.int32)
@@ -187,17 +193,17 @@ def integrate_traced(
                     break
         for name, values in tile.finished().items():
             result[name][begin:end] = values
+        tiles.finished(begin, end)
 
     progress.start(count, "render")
-    workers.run(count, rows * width, work, progress.advance)
+    with keeping(checkpoint, result) as tiles:
+        workers.run(count, rows * width, work, progress.advance)
     progress.done()
-    taken = np.maximum(result["tally"][:, 3:], 1.0)
-    xyza = (result["xyza"] / taken).reshape(height, width, 4)
+    xyza = result["xyza"].reshape(height, width, 4)
     spectrum = None
     if spectral:
-        result["spectrum"] /= taken[:, :, None]
         spectrum = result["spectrum"].reshape(height, width, -1)[:, :, : scene.band_count]
-    extra = _extra(result, taken, xyza, (height, width)) if parts else {}
+    extra = _extra(result, xyza, (height, width)) if parts else {}
     return Picture(xyza, spectrum, extra)
 
 
@@ -290,15 +296,17 @@ class _Tile:
         self._taken[active] += more
 
     def finished(self) -> dict[str, NDArray[Any]]:
-        """Return the tile's sums and variances."""
+        """Return the tile's means and variances, and its tally."""
+        tally = self._trace.tally.numpy()
+        taken = np.maximum(tally[:, 3:], 1.0)
         found = {
-            "xyza": self.film.xyza.numpy(),
-            "spectrum": self.film.spectrum.numpy(),
-            "tally": self._trace.tally.numpy(),
+            "xyza": self.film.xyza.numpy() / taken,
+            "spectrum": self.film.spectrum.numpy() / taken[:, :, None],
+            "tally": tally,
             "variance": self.variance,
         }
         if self._trace.part.shape[0]:
-            found["part"] = self._trace.part.numpy()
+            found["part"] = self._trace.part.numpy() / taken[:, :, None]
         return found
 
 
@@ -319,12 +327,11 @@ def _unfinished(
 
 def _extra(
     result: dict[str, NDArray[Any]],
-    taken: NDArray[Any],
     xyza: NDArray[Any],
     shape: tuple[int, int],
 ) -> dict[str, NDArray[np.float32]]:
     """Return the parts and measures of a picture by their names."""
-    parts = (result["part"] / taken[:, :, None]).reshape(*shape, len(PARTS), 3)
+    parts = result["part"].reshape(*shape, len(PARTS), 3)
     tally = result["tally"]
     whole = np.where(tally[:, 1] > 0.0, tally[:, 1], 1.0)
     visibility = np.where(tally[:, 1] > 0.0, 1.0 + tally[:, 2] / whole, 0.0)

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from usdskin import compilation
 from usdskin.device import Workers, vec3, vec4
 from usdskin.latlong import latlong_directions
 from usdskin.render.environment import Environment, Patches
@@ -97,7 +98,7 @@ def bake_maps(
         which kernel 0 is J1, 1 is J2 and 2 is H; their rows; and the largest interpolation error
         of J1 and J2 found, relative to the peak.
     """
-    reflectance_map.load(workers.device)
+    compilation.load(reflectance_map, workers.device)
     tree = to_device(environment, workers.device)
     groups = environment.tree.patches.flux.shape[0]
     scale = np.zeros(groups * 4)

@@ -18,6 +18,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from usdskin import compilation
 from usdskin.capture.views.fill import Hole, fill_holes, find_holes
 from usdskin.device import Workers
 from usdskin.fisheye import (
@@ -150,7 +151,7 @@ class Compositor:
         self._reference = 0.0
         self._views: list[ComposedView] = []
         self._differences: list[PixelArray] = []
-        kernels.load(workers.device)
+        compilation.load(kernels, workers.device)
 
     @property
     def height(self) -> int:
