@@ -103,8 +103,8 @@ def test_parts_hold_two_pairs_each_as_floats():
 
 
 def test_cryptomatte_asks_for_both_mattes():
-    assert [aov.source for aov in requested_aovs(["cryptomatte"])] == list(MATTES)
-    assert [aov.source for aov in requested_aovs(["N", "crypto_material"])][-1] == MATTES[1]
+    assert [aov.source for aov in requested_aovs(["cryptomatte"], False)] == list(MATTES)
+    assert [aov.source for aov in requested_aovs(["N", "crypto_material"], False)][-1] == MATTES[1]
 
 
 STAGE = """#usda 1.0

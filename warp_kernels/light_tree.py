@@ -19,11 +19,9 @@ wp.set_module_options({"enable_backward": False})
 class LightTree:
     """A binary tree over the blocks of all domes, and over the discs of distant lights."""
 
-    node_center: wp.array[wp.vec3f]
-    """Mean direction of a node's light, world space, shape [node_count]; the root is node 0."""
-
-    node_radius: wp.array[wp.float32]
-    """Largest chord from it to a direction of the node, shape [node_count]."""
+    node_cone: wp.array[wp.vec4f]
+    """Mean direction of a node's light, world space, and the largest chord from it to a direction
+    of the node, shape [node_count]; the root is node 0."""
 
     node_flux: wp.array[wp.float32]
     """Strength of the node's light [coefficient sr], shape [node_count]."""
@@ -99,8 +97,9 @@ def _importance(
     tree: LightTree, node: wp.int32, normal: wp.vec3f, wrap: wp.float32, mix: wp.float32
 ) -> wp.float32:
     """Return flux times a mean of the kernel: positive wherever it is for any of the node."""
-    x = wp.dot(normal, tree.node_center[node])
-    high = wp.min(x + tree.node_radius[node], 1.0)
+    cone = tree.node_cone[node]
+    x = normal[0] * cone[0] + normal[1] * cone[1] + normal[2] * cone[2]
+    high = wp.min(x + cone[3], 1.0)
     return tree.node_flux[node] * (ramp(x, wrap, mix) + 0.5 * ramp(high, wrap, mix))
 
 

@@ -87,22 +87,17 @@ def _draw(trace: Trace, key: wp.uint32, index: wp.int32, first: wp.int32) -> wp.
 
 
 @wp.func
-def _shade_point(
+def _shade_directions(
     geometry: Geometry, lights: Lights, materials: Materials, film: Film, trace: Trace,
     pixel: wp.int32, key: wp.uint32, index: wp.int32, point: Point, r: Reflection,
 ) -> wp.vec3f:  # fmt: skip
-    """Deposit all light of a point; return Y, its unshadowed diffuse part and what was weakened."""
+    """Deposit one direction from each kind of light; return Y, and of it what was weakened."""
     m = point.material
-    is_skin = materials.kind[m] == 1
-    base = float(0.0)
     own = int(-1)
     mix = float(0.0)
-    if is_skin:
-        base = shade_skin(geometry, lights, materials, film, pixel, point, r, 0.0)
+    if materials.kind[m] == 1:
         own = point.prim
         mix = SKIN_MIX
-    else:
-        base = shade_preview_surface(lights, materials, film, pixel, point, r)
     glossy = r.shine > 0.0 or r.coat > 0.0
     wrap = lights.wrap[materials.wrap_set[m]]
     weakened = float(0.0)
@@ -140,7 +135,28 @@ def _shade_point(
         y += shine(geometry, lights, materials, film, trace, pixel, point, r, own, mix, u)
     if materials.sent_count > 0 and r.diffuse > 0.0:
         y += bounce(geometry, lights, materials, film, trace, pixel, key, index, point, r)
-    return wp.vec3f(base + weakened + y, base, weakened)
+    return wp.vec3f(weakened + y, 0.0, weakened)
+
+
+@wp.func
+def _shade_unshadowed(
+    geometry: Geometry, lights: Lights, materials: Materials, film: Film, pixel: wp.int32,
+    point: Point, r: Reflection, times: wp.float32,
+) -> wp.vec3f:  # fmt: skip
+    """Deposit so many times what the maps give a point, and its emission; return Y, and of it the
+    diffuse part.
+    """
+    scaled = r
+    scaled.diffuse = times * r.diffuse
+    scaled.weight = times * r.weight
+    base = float(0.0)
+    emitted = float(0.0)
+    if materials.kind[point.material] == 1:
+        base = shade_skin(geometry, lights, materials, film, pixel, point, scaled, 0.0)
+    else:
+        base = shade_preview_surface(lights, materials, film, pixel, point, scaled)
+        emitted = shade_emission(geometry, lights, materials, film, pixel, point, scaled)
+    return wp.vec3f(base + emitted, base, 0.0)
 
 
 @wp.kernel(enable_backward=False)
@@ -156,7 +172,8 @@ def _trace_kernel(
 ):
     """Add a pass of samples to some pixels of a tile.
 
-    All results are sums over samples; ``trace.tally`` counts them.
+    Every camera sample takes ``trace.split`` directions of each kind of light. All results are sums
+    over these; ``trace.tally`` counts them.
 
     Launch dimension: [pixel_count].
     """
@@ -172,9 +189,10 @@ def _trace_kernel(
     sums = wp.vec3f(0.0, 0.0, 0.0)
     rasterized = film.face.shape[0] > 0
     sharpness = 0.25
+    times = wp.float32(trace.split)
     for s in range(samples):
         offset = film.sample[s]
-        number = trace.first_sample + s
+        number = trace.first_sample + s * trace.split
         lens = wp.vec2f(0.0, 0.0)
         if camera.lens_radius > 0.0:
             lens = wp.vec2f(
@@ -218,17 +236,20 @@ def _trace_kernel(
                 _finish(materials, film, trace, pixel, current)
                 current = point.material
             layer_key = hash_pair(key, wp.uint32(layer))
+            r = Reflection()
+            shown = True
             if materials.kind[current] == 1:
                 r = reflect_skin(geometry, lights, materials, point, clear)
-                sums += _shade_point(
-                    geometry, lights, materials, film, trace, pixel, layer_key, number, point, r
-                )
-            elif opacity > 0.0 or shines_when_clear(materials, current):
+            else:
+                shown = opacity > 0.0 or shines_when_clear(materials, current)
                 r = reflect_preview_surface(geometry, lights, materials, point, clear, opacity)
-                sums += _shade_point(
-                    geometry, lights, materials, film, trace, pixel, layer_key, number, point, r
-                )
-                shade_emission(geometry, lights, materials, film, pixel, point, r)
+            if shown:
+                sums += _shade_unshadowed(geometry, lights, materials, film, pixel, point, r, times)
+                for k in range(trace.split):
+                    sums += _shade_directions(
+                        geometry, lights, materials, film, trace, pixel, layer_key, number + k,
+                        point, r,
+                    )  # fmt: skip
             alpha += clear * opacity
             clear = clear * (1.0 - opacity)
             start = distance * 1.000001 + 1.0e-6
@@ -239,13 +260,13 @@ def _trace_kernel(
             if current != dome:
                 _finish(materials, film, trace, pixel, current)
                 current = dome
-            deposit_dome(lights, film, pixel, ray.direction, clear)
+            deposit_dome(lights, film, pixel, ray.direction, times * clear)
             alpha += clear
     _finish(materials, film, trace, pixel, current)
     total = film.xyza[pixel]
-    film.xyza[pixel] = wp.vec4f(total[0], total[1], total[2], total[3] + alpha)
+    film.xyza[pixel] = wp.vec4f(total[0], total[1], total[2], total[3] + times * alpha)
     trace.luminance[pixel] = sums[0]
-    trace.tally[pixel] += wp.vec4f(sums[0], sums[1], sums[2], wp.float32(samples))
+    trace.tally[pixel] += wp.vec4f(sums[0], sums[1], sums[2], times * wp.float32(samples))
 
 
 def trace_pass(

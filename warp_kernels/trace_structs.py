@@ -44,6 +44,9 @@ class Trace:
     first_sample: wp.int32
     """Index of the pass's first sample in every pixel's sequence."""
 
+    split: wp.int32
+    """Directions of light for every camera sample."""
+
     part: wp.array2d[wp.vec3f]
     """Sums of XYZ: diffuse, specular, emission, indirect, shape [tile_pixels, 4], or [0, 0]."""
 

@@ -12,16 +12,16 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from usdskin.device import vec3, vec4
+from usdskin.device import vec4
 from usdskin.latlong import latlong_directions
 from usdskin.render.environment import group_count
 from usdskin.render.lights import DistantLight, DomeLight, Lights
 from usdskin.warp_kernels import light_tree
 
-LEAF_SHARE = 1.0 / 2048.0
+LEAF_SHARE = 1.0 / 512.0
 """A block with more of its dome's flux than this is divided, down to single texels."""
 
-LEAF_RADIUS = 0.25
+LEAF_RADIUS = 0.3
 """Largest chord radius of a block."""
 
 
@@ -246,10 +246,7 @@ def _fill_nodes(tree: light_tree.LightTree, leaves: _Leaves, device: str) -> Non
         parent[used] = parent[used + 1] = node
         stack += [(used, order[:cut]), (used + 1, order[cut:])]
         used += 2
-    tree.node_center = vec3(center, device)
-    tree.node_radius = wp.array(
-        (radius * 1.00001).astype(np.float32), dtype=wp.float32, device=device
-    )
+    tree.node_cone = vec4(np.concatenate([center, 1.00001 * radius[:, None]], axis=1), device)
     tree.node_flux = wp.array(flux.astype(np.float32), dtype=wp.float32, device=device)
     tree.node_child = wp.array(child, dtype=wp.int32, device=device)
     tree.node_parent = wp.array(parent, dtype=wp.int32, device=device)

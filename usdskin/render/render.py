@@ -33,7 +33,7 @@ from usdskin.render.traced import Sampling, integrate_traced, sampling_key, trac
 # After ours, which register the schemas.
 from pxr import Usd
 
-ERROR_FLOOR = 0.02
+ERROR_FLOOR = 0.3
 """Luminance, of a white diffuser's in the mean light, below which errors weigh no more."""
 
 

@@ -77,8 +77,18 @@ class _Pass:
     """Some samples of every pixel that takes part."""
 
     first: int
+    """Index of the first direction of light in every pixel's sequence."""
+
     offsets: Any
-    """Their positions [px], on the device."""
+    """Positions of the camera samples [px], on the device."""
+
+    split: int
+    """Directions of light that each of them takes."""
+
+    @property
+    def count(self) -> int:
+        """Directions of light that a pixel takes."""
+        return len(self.offsets) * self.split
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +177,7 @@ def integrate_traced(
     projection = None
     if on_host and camera.lens_radius <= 0.0:
         compilation.load(raster, device)
-        reach = max(float(np.abs(each.offsets.numpy()).max()) for each in passes[:2])
+        reach = max(float(np.abs(each.offsets.numpy()).max()) for each in passes)
         projection = project(
             scene.faces.points, scene.faces.triangles, camera, resolution, rows, reach, device
         )
@@ -181,7 +191,7 @@ def integrate_traced(
         active = np.arange(end - begin, dtype=np.int32)
         for number, each in enumerate(passes):
             face = None
-            if projection is not None and number < 2:
+            if projection is not None:
                 first = begin // width
                 face = raster.rasterize_band(
                     projection, each.offsets, first // rows, width, first, (end - begin) // width
@@ -214,19 +224,25 @@ def _tile_rows(width: int, height: int, pixels: int) -> int:
 
 
 def _passes(settings: Sampling, device: str) -> list[_Pass]:
-    """Return the passes: the first samples in two halves, and then as many as there are before."""
+    """Return the passes: the first samples in two halves, and then as many as there are before.
+
+    Later passes take more directions of light from as many camera samples: what is noisy is the
+    light. Every pass has its own camera samples.
+    """
     first = min(settings.samples, FIRST_SAMPLES)
     offsets = sample_offsets(first, settings.pixel_filter)
-    found = [(0, offsets[0::2]), ((first + 1) // 2, offsets[1::2])]
+    found = [(0, offsets[0::2], 1), ((first + 1) // 2, offsets[1::2], 1)]
     taken = first
     while taken < settings.samples:
         more = min(taken, settings.samples - taken)
+        split = max(1, more // FIRST_SAMPLES)
+        cameras = max(1, more // split)
         shift = (0.754877666 * len(found) % 1.0, 0.569840290 * len(found) % 1.0)
-        found.append((taken, sample_offsets(more, settings.pixel_filter, shift)))
-        taken += more
+        found.append((taken, sample_offsets(cameras, settings.pixel_filter, shift), split))
+        taken += cameras * split
     return [
-        _Pass(begin, wp.array(np.ascontiguousarray(at), dtype=wp.vec2f, device=device))
-        for begin, at in found
+        _Pass(begin, wp.array(np.ascontiguousarray(at), dtype=wp.vec2f, device=device), split)
+        for begin, at, split in found
         if len(at)
     ]
 
@@ -281,14 +297,14 @@ class _Tile:
         film, device = self.film, self._device
         film.sample = each.offsets
         film.face = wp.empty((0, 0), dtype=wp.int32, device=device) if face is None else face
-        self._trace.first_sample = each.first
+        self._trace.first_sample, self._trace.split = each.first, each.split
         self._trace.pixel = wp.array(active, dtype=wp.int32, device=device)
         trace.trace_pass(
             self._scene.geometry, self._rays, self._scene.lights, self._scene.materials,
             self._trace, film,
         )  # fmt: skip
         new = self._trace.luminance.numpy()[active].astype(np.float64)
-        more, before = len(each.offsets), self._taken[active]
+        more, before = each.count, self._taken[active]
         if before.any():
             apart = new / more - self._total[active] / before
             self.variance[active] = apart**2 * before * more / (before + more) ** 2
