@@ -50,8 +50,8 @@ def bitangents(frames: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return frames[..., 3:] * np.cross(normals, frames[..., :3])
 
 
-# Tangents of the corners of saddle(), by generateTangents of the npm package mikktspace 1.1.1, which
-# is Mikkelsen's algorithm in WebAssembly.
+# Tangents of the corners of saddle(), by generateTangents of the npm package mikktspace 1.1.1,
+# which is Mikkelsen's algorithm in WebAssembly.
 MIKKTSPACE = np.array([
     (-0.94614, 0.24166, -0.21544, -1),
     (-0.86229, 0.31043, 0.40010, -1),
@@ -81,7 +81,7 @@ MIKKTSPACE = np.array([
 
 
 def saddle() -> Corners:
-    """Return eight triangles whose texture folds over at x = 0, with normals that are not theirs."""
+    """Return eight triangles whose texture folds over at x = 0; their normals are made up."""
 
     def surface(s, t):
         x, y = 2.0 * s - 1.0, 2.0 * t - 1.0
