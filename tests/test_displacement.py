@@ -113,11 +113,11 @@ def test_a_sinusoid_lifts_a_plane_and_tilts_its_normals():
     waves, depth, columns = 2, 0.1, 1024
     s = (np.arange(columns) + 0.5) / columns
     values = depth * np.sin(2.0 * np.pi * waves * s)
-    plane = smooth(grid(256))
+    plane = smooth(grid(128))
     out = moved(plane, height_map(np.tile(values, (1024, 1))))
     at = out.points[:, 0] / 2.0 + 0.5
     np.testing.assert_allclose(
-        out.points[:, 2], depth * np.sin(2.0 * np.pi * waves * at), atol=2e-3 * depth
+        out.points[:, 2], depth * np.sin(2.0 * np.pi * waves * at), atol=5e-3 * depth
     )
     corner = out.points[out.triangles][..., 0] / 2.0 + 0.5
     slope = np.pi * waves * depth * np.cos(2.0 * np.pi * waves * corner)

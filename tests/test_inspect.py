@@ -183,3 +183,19 @@ def test_terminal_report_shows_brackets_as_they_are():
     stream = Terminal()
     print_report({"file": "a", "kind": "x", "summary": {}, "rows": [{"name": "[red]x"}]}, stream)
     assert "[red]x" in stream.getvalue()
+
+
+def test_a_skin_tells_which_maps_it_has(tmp_path):
+    for name in ("n.png", "h.png"):
+        (tmp_path / name).write_bytes(b"not looked into")
+    path = tmp_path / "skin.usda"
+    path.write_text(
+        """#usda 1.0
+def Material "Skin" (prepend apiSchemas = ["SkinMaterialAPI"])
+{
+    asset inputs:skin:normal:file = @./n.png@
+    asset inputs:skin:bump:file = @./h.png@
+}
+"""
+    )
+    assert "normal, bump" in json.dumps(inspect_file(path), default=str)

@@ -50,6 +50,56 @@ def bitangents(frames: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return frames[..., 3:] * np.cross(normals, frames[..., :3])
 
 
+# Tangents of the corners of saddle(), by generateTangents of the npm package mikktspace 1.1.1,
+# which is Mikkelsen's algorithm in WebAssembly.
+MIKKTSPACE = np.array([
+    (-0.94614, 0.24166, -0.21544, -1),
+    (-0.86229, 0.31043, 0.40010, -1),
+    (-0.95248, 0.30307, -0.03031, -1),
+    (0.85340, 0.25863, -0.45256, 1),
+    (0.68602, 0.28752, -0.66836, 1),
+    (0.85315, 0.31150, -0.41844, 1),
+    (-0.79158, 0.20290, -0.57640, -1),
+    (-0.95248, 0.30307, -0.03031, -1),
+    (-0.85456, 0.25450, -0.45273, -1),
+    (0.95459, 0.29643, -0.02964, 1),
+    (0.85315, 0.31150, -0.41844, 1),
+    (0.95558, 0.29466, -0.00716, 1),
+    (-0.94614, 0.24166, -0.21544, -1),
+    (-0.95248, 0.30307, -0.03031, -1),
+    (-0.79158, 0.20290, -0.57640, -1),
+    (0.85340, 0.25863, -0.45256, 1),
+    (0.85315, 0.31150, -0.41844, 1),
+    (0.95459, 0.29643, -0.02964, 1),
+    (-0.79158, 0.20290, -0.57640, -1),
+    (-0.85456, 0.25450, -0.45273, -1),
+    (-0.61911, 0.17091, -0.76648, -1),
+    (0.95459, 0.29643, -0.02964, 1),
+    (0.95558, 0.29466, -0.00716, 1),
+    (0.86229, 0.31043, 0.40010, 1),
+])  # fmt: skip
+
+
+def saddle() -> Corners:
+    """Return eight triangles whose texture folds over at x = 0; their normals are made up."""
+
+    def surface(s, t):
+        x, y = 2.0 * s - 1.0, 2.0 * t - 1.0
+        points = np.stack([x, y, 0.5 * x * y - 0.3 * x * x], 1)
+        normals = np.stack([0.6 * x - 0.5 * y, -0.4 * x + 0.1, np.ones_like(x)], 1)
+        return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+    corners = corners_of(surface, 2, 2)
+    x, y = corners.points[..., 0], corners.points[..., 1]
+    st = np.stack([np.abs(x) + 0.2 * y, y - 0.3 * x**2], -1)
+    return Corners(corners.points, corners.normals, st)
+
+
+def test_tangents_equal_those_of_mikktspace():
+    found = tangent_frames(saddle()).reshape(-1, 4)
+    np.testing.assert_allclose(found, MIKKTSPACE, atol=6e-6)
+
+
 def test_frame_of_a_plane_is_its_axes():
     corners = corners_of(plane, 3, 2)
     frames = tangent_frames(corners)

@@ -123,6 +123,16 @@ def skin_row(prim: Any) -> Row:
         row[f"{name} at 450, 550, 650 nm"] = _at_shown(spectrum, stddev)
     row |= _facing(skin)
     row["specular"] = skin.specular_weight or None
+    maps = {
+        "albedo": skin.albedo_file,
+        "weights": skin.weights_file,
+        "normal": skin.normal_file,
+        "bump": skin.bump_file,
+        "displacement": skin.displacement_file,
+        "specular weight": skin.specular_weight_file,
+        "roughness": skin.specular_roughness_file,
+    }
+    row["maps"] = ", ".join(name for name, file in maps.items() if file is not None) or None
     if isinstance(skin.opacity, float):
         row["opacity [1/m]"] = skin.opacity or None
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from usdskin.warp_kernels.detail import relieved
 from usdskin.warp_kernels.film import MAX_LAYERS, camera_ray, surface_point
 from usdskin.warp_kernels.lookup import latlong_coordinates
 from usdskin.warp_kernels.skin import Point, diffuse_light, read_input
@@ -85,7 +86,9 @@ def _data_kernel(
         )
         if not hit.result:
             break
-        point = surface_point(geometry, materials, ray, hit.face, hit.u, hit.v, start + hit.t)
+        point = surface_point(geometry, ray, hit.face, hit.u, hit.v, start + hit.t)
+        if (materials.flags[point.material] & 64) != 0:
+            point = relieved(geometry, materials, point)
         if surface_opacity(geometry, materials, point) > 0.5:
             tile.face[pixel] = hit.face
             tile.normal[pixel] = point.normal

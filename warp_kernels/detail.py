@@ -103,26 +103,15 @@ def facing_normal(normal: wp.vec3f, smooth: wp.vec3f, view: wp.vec3f) -> wp.vec3
 
 
 @wp.func
-def detailed_normal(
-    geometry: Geometry, materials: Materials, point: Point, side: wp.float32
-) -> wp.vec4f:
-    """Return the shading normal of a point under its material's normal and height map.
+def relieved(geometry: Geometry, materials: Materials, point: Point) -> Point:
+    """Return a point with the normal of its material's maps, and the relief they hold below it.
 
-    The fourth value is the variance of the relief's slopes inside the footprint, over both axes.
-
-    Args:
-        geometry: The triangles.
-        materials: Their materials.
-        point: The point, its normal still that of the geometry.
-        side: 1 where the outside of the surface is seen, -1 where its inside is. Maps speak of the
-            outside, so that a hill is a pit from behind.
+    Worth calling where bit 6 of ``Materials.flags`` is set. Maps speak of the outside of the
+    surface, so that a hill is a pit from behind.
     """
     mapping = materials.constant[point.material, INPUT_NORMAL]
     bumping = materials.constant[point.material, INPUT_BUMP]
-    normal = point.normal
-    if mapping[3] == 0.0 and bumping[3] == 0.0:
-        return wp.vec4f(normal[0], normal[1], normal[2], 0.0)
-    normal = side * normal
+    normal = point.side * point.normal
     variance = float(0.0)
     if mapping[3] > 0.0:
         mapped = read_input(geometry, materials, point, INPUT_NORMAL)
@@ -144,5 +133,7 @@ def detailed_normal(
         normal = wp.normalize(normal - gradient + wp.dot(gradient, normal) * normal)
         variance += wp.max(mean[2] - mean[0] * mean[0], 0.0) * wp.dot(along_s, along_s)
         variance += wp.max(mean[3] - mean[1] * mean[1], 0.0) * wp.dot(along_t, along_t)
-    normal = facing_normal(side * normal, point.normal, point.view)
-    return wp.vec4f(normal[0], normal[1], normal[2], variance)
+    found = point
+    found.normal = facing_normal(point.side * normal, point.normal, point.view)
+    found.relief_variance = variance
+    return found

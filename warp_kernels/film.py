@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from usdskin.warp_kernels.detail import detailed_normal
+from usdskin.warp_kernels.detail import relieved
 from usdskin.warp_kernels.lookup import lookup_dome
 from usdskin.warp_kernels.sampling import disk_from_square, hash_pair
 from usdskin.warp_kernels.skin import (
@@ -95,9 +95,8 @@ def lens_sample(pixel: wp.int32, s: wp.int32) -> wp.vec2f:
 
 @wp.func
 def surface_point(
-    geometry: Geometry, materials: Materials, ray: Ray, face: wp.int32, u: wp.float32,
-    v: wp.float32, t: wp.float32,
-) -> Point:  # fmt: skip
+    geometry: Geometry, ray: Ray, face: wp.int32, u: wp.float32, v: wp.float32, t: wp.float32
+) -> Point:
     """Return what a ray sees of a triangle at barycentric u, v."""
     point = Point()
     corner = 3 * face
@@ -124,16 +123,13 @@ def surface_point(
         normal = normal / length
     else:
         normal = wp.normalize(cross)
-    side = wp.where(wp.dot(cross, ray.direction) > 0.0, -1.0, 1.0)
-    normal = side * normal
+    point.side = wp.where(wp.dot(cross, ray.direction) > 0.0, -1.0, 1.0)
+    normal = point.side * normal
     point.normal = normal
-    point.geometric = side * wp.normalize(cross)
+    point.geometric = point.side * wp.normalize(cross)
     point.prim = geometry.prim[face]
     grazing = wp.max(wp.dot(normal, point.view), 0.05)
     point.footprint = (ray.width + ray.spread * t) / wp.sqrt(grazing)
-    relief = detailed_normal(geometry, materials, point, side)
-    point.normal = wp.vec3f(relief[0], relief[1], relief[2])
-    point.relief_variance = relief[3]
     return point
 
 
@@ -267,7 +263,9 @@ def _picture_kernel(
                 seen_through = 0
                 break
             distance = start + at[2]
-            point = surface_point(geometry, materials, ray, face, at[0], at[1], distance)
+            point = surface_point(geometry, ray, face, at[0], at[1], distance)
+            if (materials.flags[point.material] & 64) != 0:
+                point = relieved(geometry, materials, point)
             opacity = surface_opacity(geometry, materials, point)
             if point.material != current:
                 finish_rows(materials, film, pixel, current, share)

@@ -114,7 +114,7 @@ def _matte_kernel(
             if face < 0:
                 break
             distance = start + at[2]
-            point = surface_point(geometry, materials, ray, face, at[0], at[1], distance)
+            point = surface_point(geometry, ray, face, at[0], at[1], distance)
             opacity = surface_opacity(geometry, materials, point)
             if opacity > 0.0:
                 _deposit(tile, pixel, geometry.prim[face], point.material, share * clear * opacity)

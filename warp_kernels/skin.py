@@ -53,6 +53,8 @@ class Point:
     """Unit shading normal, maps included, turned to the viewer's side."""
     geometric: wp.vec3f
     """Unit normal of its triangle, turned to the viewer's side."""
+    side: wp.float32
+    """1 where the outside of the surface is seen, -1 where its inside is."""
     relief_variance: wp.float32
     """Variance of slopes of the maps' relief that the footprint holds, over both axes [1]."""
     prim: wp.int32
@@ -327,10 +329,12 @@ def reflect_skin(
     r.nv = wp.max(wp.dot(point.normal, point.view), 1.0e-4)
     r.diffuse = weight
     if (materials.flags[m] & 4) != 0:
-        lobes = skin_lobes(geometry, materials, point)
+        lobes = materials.constant[m, INPUT_LOBES]
+        if (materials.flags[m] & 128) != 0:
+            lobes = mapped_lobes(geometry, materials, point)
         r.f0 = materials.constant[m, INPUT_SPECULAR][0]
-        r.alpha = lobes[1]
-        r.second_alpha = lobes[2]
+        r.alpha = widened(lobes[1], point.relief_variance)
+        r.second_alpha = widened(lobes[2], point.relief_variance)
         r.second = lobes[3]
         first = lookup_fresnel(lights, r.alpha, r.nv)
         second = lookup_fresnel(lights, r.second_alpha, r.nv)
@@ -345,16 +349,16 @@ def reflect_skin(
 
 
 @wp.func
-def widened(alpha: wp.float32, point: Point) -> wp.float32:
+def widened(alpha: wp.float32, variance: wp.float32) -> wp.float32:
     """Return a GGX alpha with the relief below the footprint: alpha^2 is a variance of slopes."""
-    if point.relief_variance <= 0.0:
+    if variance <= 0.0:
         return alpha
-    return wp.min(wp.sqrt(alpha * alpha + point.relief_variance), 1.0)
+    return wp.min(wp.sqrt(alpha * alpha + variance), 1.0)
 
 
 @wp.func
-def skin_lobes(geometry: Geometry, materials: Materials, point: Point) -> wp.vec4f:
-    """Return the lustre of skin: its weight, GGX alpha of both lobes, share of the second."""
+def mapped_lobes(geometry: Geometry, materials: Materials, point: Point) -> wp.vec4f:
+    """Return weight, GGX alpha of both lobes and share of the second, from the lustre's maps."""
     m = point.material
     lobes = materials.constant[m, INPUT_LOBES]
     if materials.slot[m, INPUT_LUSTRE] >= 0:
@@ -366,8 +370,6 @@ def skin_lobes(geometry: Geometry, materials: Materials, point: Point) -> wp.vec
         second = wp.min(rough * ratio, 1.0)
         lobes[1] = rough * rough
         lobes[2] = second * second
-    lobes[1] = widened(lobes[1], point)
-    lobes[2] = widened(lobes[2], point)
     return lobes
 
 
@@ -451,12 +453,12 @@ def reflect_preview_surface(
         coat = read_input(geometry, materials, point, INPUT_CLEARCOAT)[0]
         rough = read_input(geometry, materials, point, INPUT_CLEARCOAT_ROUGHNESS)[0]
         r.coat = weight * coat
-        r.coat_alpha = widened(rough * rough, point)
+        r.coat_alpha = widened(rough * rough, point.relief_variance)
         response = lookup_fresnel(lights, r.coat_alpha, r.nv)
         solid = solid * (1.0 - coat * (0.04 * response[0] + response[1]))
         shine = shine * (1.0 - coat * (0.04 * response[0] + response[1]))
     rough = read_input(geometry, materials, point, INPUT_ROUGHNESS)[0]
-    r.alpha = widened(rough * rough, point)
+    r.alpha = widened(rough * rough, point.relief_variance)
     r.second_alpha = r.alpha
     tint = read_input(geometry, materials, point, INPUT_SPECULAR)
     highest = wp.max(tint[0], wp.max(tint[1], tint[2]))

@@ -186,7 +186,7 @@ class Materials:
 
     flags: wp.array[wp.int32]
     """Bit 0 specular workflow, 1 presence opacity, 2 specular rows, 3 tinted specular rows,
-    4 emission row, 5 clearcoat."""
+    4 emission row, 5 clearcoat, 6 normal or height map, 7 maps of the lustre."""
 
     constant: wp.array2d[wp.vec4f]
     """Values of the inputs that have no texture, shape [material_count, input_count]."""

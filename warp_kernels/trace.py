@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from usdskin.warp_kernels.detail import relieved
 from usdskin.warp_kernels.film import (
     MAX_LAYERS,
     camera_ray,
@@ -42,7 +43,7 @@ from usdskin.warp_kernels.trace_structs import (
     SKIN_MIX,
     Trace,
 )
-from usdskin.warp_kernels.visibility import cross_bodies, lift, surface_opacity
+from usdskin.warp_kernels.visibility import cross_bodies, origin_on, surface_opacity
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -112,7 +113,8 @@ def _shade_directions(
         reached = reaches(lights.links, point.prim, number)
         if reached and (r.diffuse > 0.0 or lobes[0] + lobes[1] > 0.0):
             crossing = cross_bodies(
-                geometry, materials, lift(point), sample.direction, FAR, own,
+                geometry, materials, origin_on(materials, point),
+                sample.direction, FAR, own,
                 materials.passage_limit[m], lights.links, number,
             )  # fmt: skip
             share = beam_share(lights, materials, point, sample.direction, crossing, 1.0)
@@ -230,7 +232,9 @@ def _trace_kernel(
             if face < 0:
                 break
             distance = start + at[2]
-            point = surface_point(geometry, materials, ray, face, at[0], at[1], distance)
+            point = surface_point(geometry, ray, face, at[0], at[1], distance)
+            if (materials.flags[point.material] & 64) != 0:
+                point = relieved(geometry, materials, point)
             opacity = surface_opacity(geometry, materials, point)
             if point.material != current:
                 _finish(materials, film, trace, pixel, current)

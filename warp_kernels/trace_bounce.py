@@ -27,7 +27,7 @@ from usdskin.warp_kernels.trace_structs import (
     SKIN_MIX,
     Trace,
 )
-from usdskin.warp_kernels.visibility import cross_bodies, lift, surface_opacity
+from usdskin.warp_kernels.visibility import cross_bodies, gap_of, origin_on, surface_opacity
 
 wp.set_module_options({"enable_backward": False})
 
@@ -55,14 +55,13 @@ def bounce(
     if wp.dot(toward, point.geometric) <= 0.0:
         return 0.0
     ray = Ray()
-    lifted = lift(point)
-    ray.origin = wp.vec3f(lifted[0], lifted[1], lifted[2])
+    ray.origin = point.position + gap_of(point.size) * point.geometric
     ray.direction = toward
     ray.spread = 0.1
     hit = wp.mesh_query_ray(geometry.mesh, ray.origin, toward, FAR)
     if not hit.result:
         return 0.0
-    other = surface_point(geometry, materials, ray, hit.face, hit.u, hit.v, hit.t)
+    other = surface_point(geometry, ray, hit.face, hit.u, hit.v, hit.t)
     opacity = surface_opacity(geometry, materials, other)
     h = other.material
     passes = int(1)
@@ -94,7 +93,8 @@ def bounce(
     if sample.scale > 0.0:
         cosine = wp.dot(other.normal, sample.direction)
         crossing = cross_bodies(
-            geometry, materials, lift(other), sample.direction, FAR, own,
+            geometry, materials, origin_on(materials, other),
+            sample.direction, FAR, own,
             materials.passage_limit[h], lights.links, light_number(trace.tree, sample),
         )  # fmt: skip
         lost = 1.0 - crossing.clear

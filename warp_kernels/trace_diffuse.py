@@ -18,7 +18,7 @@ from usdskin.warp_kernels.skin import (
 from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
 from usdskin.warp_kernels.trace_gloss import deposit_gloss, lobes_towards
 from usdskin.warp_kernels.trace_structs import Trace
-from usdskin.warp_kernels.visibility import Crossing, cross_bodies, lift
+from usdskin.warp_kernels.visibility import Crossing, cross_bodies, origin_on
 
 wp.set_module_options({"enable_backward": False})
 
@@ -136,7 +136,8 @@ def shade_local_light(
     if wp.dot(point.normal, sample.direction) <= nearest:
         return 0.0
     crossing = cross_bodies(
-        geometry, materials, lift(point), sample.direction, 0.99999 * sample.distance, own,
+        geometry, materials, origin_on(materials, point),
+        sample.direction, 0.99999 * sample.distance, own,
         materials.passage_limit[m], lights.links, number,
     )  # fmt: skip
     if crossing.clear <= 0.0:

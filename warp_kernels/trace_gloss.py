@@ -11,7 +11,7 @@ from usdskin.warp_kernels.sampling import TWO_PI, around
 from usdskin.warp_kernels.skin import Point, Reflection, deposit, first_glossy_row, ggx
 from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
 from usdskin.warp_kernels.trace_structs import FAR, Trace
-from usdskin.warp_kernels.visibility import cross_bodies, lift
+from usdskin.warp_kernels.visibility import cross_bodies, origin_on
 
 wp.set_module_options({"enable_backward": False})
 
@@ -121,7 +121,15 @@ def shine(
     for dome in range(domes):
         if reaches(lights.links, point.prim, dome):
             crossing = cross_bodies(
-                geometry, materials, lift(point), toward, FAR, own, 0.0, lights.links, dome
+                geometry,
+                materials,
+                origin_on(materials, point),
+                toward,
+                FAR,
+                own,
+                0.0,
+                lights.links,
+                dome,
             )
             if crossing.clear > 0.0:
                 texel = dome_texel_towards(trace.tree, dome, toward)
@@ -140,7 +148,8 @@ def shine(
             hit = intersect_local_light(trace.local, k, point.position, toward)
             if hit.distance > 0.0:
                 crossing = cross_bodies(
-                    geometry, materials, lift(point), toward, 0.99999 * hit.distance, own, 0.0,
+                    geometry, materials, origin_on(materials, point),
+                    toward, 0.99999 * hit.distance, own, 0.0,
                     lights.links, number,
                 )  # fmt: skip
                 other = local_light_pdf(trace.local, k, point.position, toward)

@@ -59,22 +59,57 @@ def _opacity_at(
     return surface_opacity(geometry, materials, point)
 
 
-@wp.func
-def lift(point: Point) -> wp.vec4f:
-    """Return a point just off its surface, on the viewer's side, and by how much [m].
+@wp.struct
+class Origin:
+    """Where shadow rays begin: on a surface, seen from one side of it."""
 
-    The gap follows the size of the triangle's coordinates, whose rounding it has to exceed.
-    """
-    gap = 4.0e-6 * wp.max(point.size, 1.0e-3)
-    p = point.position + gap * point.geometric
-    return wp.vec4f(p[0], p[1], p[2], gap)
+    position: wp.vec3f
+    """[m]."""
+
+    normal: wp.vec3f
+    """Unit normal of the triangle, on the viewer's side."""
+
+    gap: wp.float32
+    """How far off the surface rays begin [m]: it follows the size of the triangle's coordinates,
+    whose rounding it has to exceed."""
+
+    opaque: wp.int32
+    """1 where nothing passes the surface itself."""
+
+
+@wp.func
+def gap_of(size: wp.float32) -> wp.float32:
+    """Return the gap [m] beside a triangle with a largest coordinate of ``size`` [m]."""
+    return 4.0e-6 * wp.max(size, 1.0e-3)
+
+
+@wp.func
+def origin_on(materials: Materials, point: Point) -> Origin:
+    """Return where the shadow rays of a point begin."""
+    origin = Origin()
+    origin.position = point.position
+    origin.normal = point.geometric
+    origin.gap = gap_of(point.size)
+    if materials.slot[point.material, INPUT_OPACITY] < 0:
+        if materials.constant[point.material, INPUT_OPACITY][0] >= 1.0:
+            origin.opaque = 1
+    return origin
+
+
+@wp.func
+def _size_of(geometry: Geometry, face: wp.int32) -> wp.float32:
+    """Return the largest coordinate of a triangle's corners [m]."""
+    a = wp.abs(wp.mesh_get_point(geometry.mesh, 3 * face))
+    b = wp.abs(wp.mesh_get_point(geometry.mesh, 3 * face + 1))
+    c = wp.abs(wp.mesh_get_point(geometry.mesh, 3 * face + 2))
+    return wp.max(wp.max(wp.max(a, b), c))
 
 
 @wp.func
 def cross_bodies(
     geometry: Geometry,
     materials: Materials,
-    start_at: wp.vec4f,
+    origin: Origin,
     direction: wp.vec3f,
     distance: wp.float32,
     own: wp.int32,
@@ -84,14 +119,13 @@ def cross_bodies(
 ) -> Crossing:
     """Follow light backwards from a point to its source.
 
-    The first crossing of the own body enters it, the next one leaves, and so on: the origin lies
-    outside (``lift``). Light that enters and never leaves, as in a mesh that is not closed, is
-    blocked.
+    Crossings of the own body enter and leave it in turn; light from behind the surface begins
+    inside. Light that enters and never leaves, as in a mesh that is not closed, is blocked.
 
     Args:
         geometry: The scene.
         materials: Whose opacities block.
-        start_at: A lifted point and its gap [m] (``lift``).
+        origin: Where the ray begins (``origin_on``).
         direction: Unit vector towards the light.
         distance: How far the light is [m].
         own: Prim whose skin weakens instead of blocking, -1 where there is none.
@@ -102,27 +136,36 @@ def cross_bodies(
     """
     result = Crossing()
     result.clear = 1.0
-    origin = wp.vec3f(start_at[0], start_at[1], start_at[2])
-    gap = start_at[3]
-    start = float(0.0)
+    behind = wp.dot(direction, origin.normal) < 0.0
+    if behind and own < 0 and origin.opaque != 0 and links.active == 0:
+        result.clear = 0.0
+        return result
     entered = float(-1.0)
+    side = float(1.0)
+    if behind and own >= 0:
+        side = -1.0
+        if limit > 0.0:
+            entered = 0.0
+    begin = origin.position + (side * origin.gap) * origin.normal
+    start = float(0.0)
     last = int(-1)
     last_t = float(-1.0)
     last_sign = float(0.0)
+    near = float(origin.gap)
     for _k in range(MAX_CROSSINGS):
         reach = distance - start
         if entered >= 0.0:
-            reach = wp.min(reach, limit - result.length)
-        hit = wp.mesh_query_ray(geometry.mesh, origin + start * direction, direction, reach)
+            reach = wp.min(reach, entered + limit - result.length - start)
+        hit = wp.mesh_query_ray(geometry.mesh, begin + start * direction, direction, reach)
         if not hit.result:
             if entered >= 0.0:
                 result.clear = 0.0
             return result
         t = start + hit.t
         # A triangle is crossed once, and an edge that two of them share is one crossing.
-        repeated = hit.face == last or (t - last_t < gap and hit.sign == last_sign)
+        repeated = hit.face == last or (t - last_t < near and hit.sign == last_sign)
         if repeated:
-            start = t + 0.25 * gap
+            start = t + near
         else:
             last = hit.face
             last_t = t
@@ -147,5 +190,6 @@ def cross_bodies(
                 if result.clear < LEAST_CLEAR:
                     result.clear = 0.0
                     return result
+            near = wp.max(origin.gap, 0.25 * gap_of(_size_of(geometry, hit.face)))
     result.clear = 0.0
     return result

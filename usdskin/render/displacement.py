@@ -16,8 +16,8 @@ from usdskin.errors import MeshError
 from usdskin.render.inputs import PrimvarInput, TextureInput
 from usdskin.render.materials import Displacement, SkinMaterial, SurfaceMaterial
 from usdskin.render.mesh_limit import unit
-from usdskin.render.mesh_tangents import corner_angles, names_of
-from usdskin.render.mesh_topology import FloatArray, IndexArray
+from usdskin.render.mesh_tangents import corner_angles, names_of, sums_by_name
+from usdskin.render.mesh_topology import FloatArray
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.polygons import cross
 from usdskin.render.textures import Texture, read_texture, sample_texture
@@ -59,11 +59,11 @@ def displaced(
     points = mesh.points.astype(np.float64)
     corner = points[mesh.triangles]
     normal = mesh.normals.astype(np.float64)
-    free = np.zeros_like(corner)
-    angle = np.maximum(corner_angles(corner, free), 1e-9)
+    angle = np.maximum(corner_angles(corner), 1e-9)
     place = names_of(corner)
-    way = unit(_sums(place, angle[..., None] * normal))
-    moved_by = _sums(place, (angle * height)[..., None]) / _sums(place, angle[..., None])
+    way = unit(sums_by_name(place, angle[..., None] * normal))
+    share = sums_by_name(place, angle[..., None])
+    moved_by = sums_by_name(place, (angle * height)[..., None]) / share
     points[mesh.triangles] += (moved_by * way)[place]
     with np.errstate(over="ignore"):
         moved = points.astype(np.float32)
@@ -74,9 +74,9 @@ def displaced(
         )
     after = moved.astype(np.float64)[mesh.triangles]
     shared = names_of(corner, normal)
-    before_normal = unit(_sums(shared, angle[..., None] * _face_normals(corner)))
-    angle_after = corner_angles(after, free)
-    after_normal = unit(_sums(shared, angle_after[..., None] * _face_normals(after)))
+    before_normal = unit(sums_by_name(shared, angle[..., None] * _face_normals(corner)))
+    angle_after = corner_angles(after)
+    after_normal = unit(sums_by_name(shared, angle_after[..., None] * _face_normals(after)))
     turned = normal + (after_normal - before_normal)[shared]
     turned = unit(turned.reshape(-1, 3)).reshape(turned.shape)
     lost = ~turned.any(axis=-1)
@@ -122,16 +122,6 @@ def _level(texture: Texture, st: FloatArray) -> int:
     area = np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]) * width * height
     spacing = float(np.sqrt(np.median(area))) if len(area) else 0.0
     return int(np.clip(np.floor(np.log2(max(spacing, 1.0))), 0, len(texture.levels) - 1))
-
-
-def _sums(name: IndexArray, values: FloatArray) -> FloatArray:
-    """Return the sums of corner values by name, shape [name_count, k]."""
-    count = int(name.max()) + 1
-    columns = [
-        np.bincount(name.ravel(), values[..., k].ravel(), minlength=count)
-        for k in range(values.shape[-1])
-    ]
-    return np.stack(columns, axis=1)
 
 
 def _face_normals(corner: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ Makes:  ``SkinMaterial`` and ``SurfaceMaterial``, whose inputs are constants, te
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from usdskin.errors import LayerError
 from usdskin.layers import describe
 from usdskin.notes import Note
 from usdskin.prims import SkinParameters, check_applied_schemas, read_skin, read_spectrum
+from usdskin.render.bindings import binding_notes, bound_material
 from usdskin.render.inputs import Color, Input, PrimvarInput, TextureInput
 from usdskin.render.networks import FALLBACKS, NetworkReader, find_surface, surface_of
 from usdskin.spectrum import SpectralQuantity, Spectrum
@@ -210,49 +211,6 @@ def required_primvars(materials: Iterable[SkinMaterial | SurfaceMaterial]) -> fr
             elif isinstance(value, PrimvarInput):
                 names.add(value.name)
     return frozenset(names)
-
-
-def bound_material(prim: Usd.Prim, purposes: Sequence[str] = ("full", "")) -> str | None:
-    """Return the path of the material a prim shows, its ancestors' bindings included.
-
-    Collection bindings and ``strongerThanDescendants`` count as ``UsdShade`` says.
-
-    Args:
-        prim: A gprim or a GeomSubset.
-        purposes: Material purposes, the preferred one first; ``""`` is all purposes.
-    """
-    binding = UsdShade.MaterialBindingAPI(prim)
-    for purpose in purposes:
-        material, relationship = binding.ComputeBoundMaterial(purpose)
-        # A search for "full" also gives what is bound for all purposes, whose turn comes later.
-        if material and _purpose_of(relationship) == purpose:
-            return str(material.GetPath())
-    return None
-
-
-def binding_notes(prim: Usd.Prim) -> list[Note]:
-    """Return why a binding authored on a prim itself does not show."""
-    relationship = UsdShade.MaterialBindingAPI(prim).GetDirectBindingRel()
-    targets = relationship.GetTargets() if relationship else []
-    if not targets:
-        return []
-    path = str(prim.GetPath())
-    if not prim.HasAPI(UsdShade.MaterialBindingAPI):
-        what = "has a material:binding but not MaterialBindingAPI, so USD ignores it; apply the API"
-        return [Note("binding-ignored", path, what)]
-    bound = prim.GetStage().GetPrimAtPath(targets[0])
-    if not bound or not bound.IsA(UsdShade.Material):
-        what = f"is bound to <{targets[0]}>, which is no Material; its displayColor is shown"
-        return [Note("binding-broken", path, what)]
-    return []
-
-
-def _purpose_of(relationship: Usd.Relationship) -> str:
-    """Return the purpose in ``material:binding[:collection][:<purpose>][:<collection's name>]``."""
-    parts = relationship.GetName().split(":")[2:]
-    if parts[:1] == ["collection"]:
-        return parts[1] if len(parts) > 2 else ""
-    return parts[0] if parts else ""
 
 
 def read_materials(

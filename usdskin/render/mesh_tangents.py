@@ -12,6 +12,7 @@ Pure NumPy: no USD here.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +54,7 @@ def tangent_frames(corners: Corners) -> NDArray[np.float32]:
     along_s, _, area = _triangle_gradients(corners)
     sign = np.where(area < 0.0, -1.0, 1.0)
     vertex = names_of(corners.normals, corners.points, corners.st, sign[:, None, None])
-    tangent = _averaged(along_s, area != 0.0, corners, vertex)
+    (tangent,) = _averaged((along_s,), area != 0.0, corners, vertex)
     frames = np.empty((*tangent.shape[:2], 4), np.float32)
     frames[..., :3] = unit(tangent.reshape(-1, 3)).reshape(tangent.shape)
     frames[..., 3] = sign[:, None]
@@ -76,11 +77,10 @@ def gradient_frames(corners: Corners) -> tuple[NDArray[np.float32], NDArray[np.f
     _, gradients, area = _triangle_gradients(corners)
     sign = np.where(area < 0.0, -1.0, 1.0)
     vertex = names_of(corners.normals, corners.points, corners.st, sign[:, None, None])
-    found = []
-    for gradient in gradients:
-        frames = np.zeros((*corners.st.shape[:2], 4), np.float32)
-        frames[..., :3] = _averaged(gradient, area != 0.0, corners, vertex, lengths=True)
-        found.append(frames)
+    averaged = _averaged(gradients, area != 0.0, corners, vertex, lengths=True)
+    found = np.zeros((2, *corners.st.shape[:2], 4), np.float32)
+    for frames, gradient in zip(found, averaged, strict=True):
+        frames[..., :3] = gradient
     return found[0], found[1]
 
 
@@ -104,49 +104,64 @@ def _triangle_gradients(
 
 
 def _averaged(
-    of_triangle: FloatArray,
+    of_triangle: Sequence[FloatArray],
     valid: NDArray[np.bool_],
     corners: Corners,
     vertex: IndexArray,
     *,
     lengths: bool = False,
-) -> FloatArray:
-    """Return the mean around each vertex, by angle, of vectors laid into the normals' planes.
+) -> list[FloatArray]:
+    """Return the means around each vertex, by angle, of vectors laid into the normals' planes.
 
     Args:
-        of_triangle: Vectors, shape [triangle_count, 3].
+        of_triangle: Fields of vectors, shape [triangle_count, 3] each.
         valid: Triangles that count, shape [triangle_count].
         corners: The triangles.
         vertex: Vertex of each corner, shape [triangle_count, 3].
         lengths: Whether lengths count, or directions only.
 
     Returns:
-        Vectors of the corners, shape [triangle_count, 3, 3].
+        Vectors of the corners, shape [triangle_count, 3, 3] each.
     """
-    flat = laid_flat(np.broadcast_to(of_triangle[:, None], corners.normals.shape), corners.normals)
-    if not lengths:
-        flat = unit(flat.reshape(-1, 3)).reshape(flat.shape)
     weight = corner_angles(corners.points, corners.normals) * valid[:, None]
-    total = np.zeros((int(vertex.max(initial=-1)) + 1, 3))
-    for axis in range(3):
-        total[:, axis] = np.bincount(
-            vertex.ravel(), (weight * flat[..., axis]).ravel(), minlength=len(total)
-        )
-    if lengths:
-        sums = np.bincount(vertex.ravel(), weight.ravel(), minlength=len(total))
-        total /= np.maximum(sums, np.finfo(float).tiny)[:, None]
-    averaged: FloatArray = total[vertex]
+    averaged = []
+    for vectors in of_triangle:
+        flat = laid_flat(vectors[:, None], corners.normals)
+        if not lengths:
+            flat = unit(flat.reshape(-1, 3)).reshape(flat.shape)
+        total = sums_by_name(vertex, weight[..., None] * flat)
+        if lengths:
+            share = sums_by_name(vertex, weight[..., None])
+            total /= np.maximum(share, np.finfo(float).tiny)
+        averaged.append(total[vertex])
     return averaged
+
+
+def sums_by_name(name: IndexArray, values: FloatArray) -> FloatArray:
+    """Return the sums of corner values by name, shape [name_count, k].
+
+    Args:
+        name: Names as ``names_of`` gives them, shape [triangle_count, 3].
+        values: Shape [triangle_count, 3, k].
+    """
+    count = int(name.max(initial=-1)) + 1
+    columns = [
+        np.bincount(name.ravel(), values[..., k].ravel(), minlength=count)
+        for k in range(values.shape[-1])
+    ]
+    return np.stack(columns, axis=1)
 
 
 def laid_flat(vectors: FloatArray, normals: FloatArray) -> FloatArray:
     """Return vectors without their part along unit normals, shapes [..., 3]."""
-    flat: FloatArray = vectors - np.einsum("...i,...i->...", vectors, normals)[..., None] * normals
+    along = vectors[..., 0] * normals[..., 0]
+    along = along + vectors[..., 1] * normals[..., 1] + vectors[..., 2] * normals[..., 2]
+    flat: FloatArray = vectors - along[..., None] * normals
     return flat
 
 
-def corner_angles(points: FloatArray, normals: FloatArray) -> FloatArray:
-    """Return the angles of triangles at their corners, seen along the normals [rad].
+def corner_angles(points: FloatArray, normals: FloatArray | None = None) -> FloatArray:
+    """Return the angles of triangles at their corners, seen along normals where given [rad].
 
     Args:
         points: Positions of the corners, shape [triangle_count, 3, 3].
@@ -155,8 +170,10 @@ def corner_angles(points: FloatArray, normals: FloatArray) -> FloatArray:
     Returns:
         Angles, shape [triangle_count, 3].
     """
-    ahead = laid_flat(np.roll(points, -1, axis=1) - points, normals)
-    behind = laid_flat(np.roll(points, 1, axis=1) - points, normals)
+    ahead = points[:, [1, 2, 0]] - points
+    behind = -ahead[:, [2, 0, 1]]
+    if normals is not None:
+        ahead, behind = laid_flat(ahead, normals), laid_flat(behind, normals)
     opening = np.linalg.norm(cross(ahead, behind), axis=-1)
     angles: FloatArray = np.arctan2(opening, np.einsum("...i,...i->...", ahead, behind))
     return angles

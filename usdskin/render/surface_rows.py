@@ -42,6 +42,7 @@ PREVIEW, SKIN, DOME = 0, 1, 2
 """``Materials.kind``."""
 
 SPECULAR_WORKFLOW, PRESENCE, GLOSSY, TINTED, EMISSIVE, CLEARCOAT = 1, 2, 4, 8, 16, 32
+RELIEF, LUSTRE_MAPS = 64, 128
 """``Materials.flags``."""
 
 
@@ -209,6 +210,8 @@ def skin_rows(
     _add_detail(row, material)
     if material.is_lustrous:
         row.flags |= GLOSSY
+        if material.lustre is not None or material.lustre_roughness is not None:
+            row.flags |= LUSTRE_MAPS
         if material.lustre is not None:
             row.inputs[structs.INPUT_LUSTRE] = material.lustre
         if material.lustre_roughness is not None:
@@ -237,6 +240,7 @@ def _add_detail(row: MaterialRows, material: SkinMaterial | SurfaceMaterial) -> 
         row.frames[structs.INPUT_BUMP] = frame
         row.inputs[structs.INPUT_BUMP] = material.bump
         row.constant[structs.INPUT_BUMP, 0] = material.parameters.bump_depth
+    row.flags |= RELIEF * bool(row.frames)
 
 
 def _skin_bases(material: SkinMaterial, frame: SpectralFrame) -> FloatArray:
