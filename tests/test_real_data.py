@@ -195,8 +195,8 @@ REFUSED = {
     "testUsdImagingGLUsdUdims/usdUdimsSymlinked.usda": "@symlink_<UDIM>.jpg@, which is not there",
     "testUsdImagingGLUsdUdims/usdUdimsTextureFallback.usda": "@missingTexture_<UDIM>.jpg@",
 }
-"""The whole stages that are not drawn even with a camera and a light added, and why: arrays that do
-not fit one another, prototypes that are missing, and files that OpenUSD makes when its tests run."""
+"""Whole stages that are not drawn even with a camera and a light added, and why: arrays that do
+not fit one another, missing prototypes, and files that OpenUSD makes when its tests run."""
 
 # USD writes these past its own diagnostics while it looks into a corrupt crate.
 UNAVOIDABLE = ("failed call to posix_madvise(", "TypeError: No to_python (by-value) converter")
