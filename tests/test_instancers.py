@@ -124,6 +124,13 @@ def test_hidden_instances_are_not_drawn(tmp_path, opinions, shown):
     assert paths(scene) == [f"/Many[{at}]/Leaf" for at in shown]
 
 
+@pytest.mark.parametrize("name", ["ids", "invisibleIds"])
+def test_ids_of_a_type_that_usd_does_not_read_are_noted(tmp_path, name):
+    scene, notes = read_text(tmp_path, many(THREE, f"int[] {name} = [1]", triangle("Leaf")))
+    assert len(scene.meshes) == 3
+    assert codes(notes) == ["instancer-ids-ignored"] and name in notes[0].message
+
+
 def test_inactive_ids_are_not_drawn(tmp_path):
     text = many(THREE, triangle("Leaf"), metadata="inactiveIds = [0, 2]")
     assert paths(read_text(tmp_path, text)[0]) == ["/Many[1]/Leaf"]
@@ -405,6 +412,11 @@ OTHER_CYCLE = [
         ([many(THREE, "int64[] ids = [1, 2]", triangle("Leaf"))], "ids has 2 values"),
         ([many(THREE.replace("(10, 0, 0)", "(nan, 0, 0)"), triangle("Leaf"))],
          "instance 1 has a transform that is not finite"),
+        ([many(THREE, "float3 xformOp:scale = (0, 1, 1)",
+               'uniform token[] xformOpOrder = ["xformOp:scale"]', triangle("Leaf"))],
+         "</Many>: its transform is singular"),
+        ([many(THREE.replace("point3f[] positions", "double3[] positions"), triangle("Leaf"))],
+         "positions does not hold what its type point3f[] asks for"),
         ([many(THREE)], "prototypes name </Many/Leaf>, which is not there"),
         ([many("int[] protoIndices = [0]")], "but there is none"),
         ([many(THREE, "color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0)] (",
@@ -412,7 +424,7 @@ OTHER_CYCLE = [
          "primvars:displayColor has 2 values, but vertex interpolation needs 3"),
     ],
     ids=["cycle", "two in a ring", "ancestor", "index", "negative", "positions", "scales", "ids",
-         "nan", "missing", "none", "primvar"],
+         "nan", "flat", "type", "missing", "none", "primvar"],
 )  # fmt: skip
 def test_what_cannot_be_placed_is_refused_with_where_and_what(tmp_path, prims, says):
     with pytest.raises(UsdSkinError) as caught:

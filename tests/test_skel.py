@@ -342,6 +342,31 @@ def _few_shares(arm):
     arm.motion.GetBlendShapeWeightsAttr().Set(Vt.FloatArray([0.5]), 1)
 
 
+def _no_shape(arm):
+    add_shape(arm, {1: 0.5})
+    arm.binding.GetBlendShapeTargetsRel().SetTargets(["/Body/Nothing"])
+
+
+def _nan_offsets(arm):
+    add_shape(arm, {1: 0.5}).GetOffsetsAttr().Set([(float("nan"), 0, 0)] * 6)
+
+
+def _singular_bind(arm):
+    arm.skeleton.CreateBindTransformsAttr([Gf.Matrix4d(0.0)] * 2)
+
+
+def _unknown_method(arm):
+    arm.mesh.GetPrim().CreateAttribute(
+        "primvars:skel:skinningMethod", Sdf.ValueTypeNames.Token
+    ).Set("wobbly")
+
+
+def _far_face(arm):
+    arm.mesh.GetFaceVertexIndicesAttr().Set([0, 1, 4, 5, 1, 2, 3, 99])
+    arm.mesh.CreateNormalsAttr([(1, 0, 0)] * 8)
+    arm.mesh.SetNormalsInterpolation("faceVarying")
+
+
 def _nan_pose(arm):
     arm.motion.GetTranslationsAttr().Set([(float("nan"), 0, 0)])
 
@@ -366,6 +391,11 @@ def _same_joint(arm):
         (_few_offsets, "has 1 offsets for 6 points"),
         (_few_turns, "</Body/Motion>: translations, rotations and scales must each have 1 values"),
         (_few_shares, "</Body/Motion>: blendShapeWeights has 1 values for 2 blendShapes"),
+        (_no_shape, "skel:blendShapeTargets[0] names no BlendShape"),
+        (_nan_offsets, "</Body/Arm/Smile>: its offsets are not rows of three finite numbers"),
+        (_singular_bind, "</Body/Arm>: posed points are not finite"),
+        (_unknown_method, "skel:skinningMethod is 'wobbly'; use classicLinear or dualQuaternion"),
+        (_far_face, "faceVertexIndices[7] names point 99"),
         (_nan_pose, "a joint's transform is not finite"),
         (_same_joint, "</Body/Bones>: joints must name every joint once"),
     ],

@@ -59,13 +59,18 @@ def shaped(
     shares, owners, parts = shapes.ComputeSubShapeWeights(weights)
     for share, owner, part in zip(shares, owners, parts, strict=True):
         shape = shapes.GetBlendShape(int(owner))
+        if not shape:
+            raise MeshError(
+                f"{where}: skel:blendShapeTargets[{int(owner)}] names no BlendShape; {REMEDY}"
+            )
         inbetween = shapes.GetInbetween(int(part))
         holder = inbetween if inbetween else shape
         rows = _shape_rows(shape, len(points), where)
-        points = _added(points, share, _offsets(holder, "Offsets", shape, rows), rows)
+        name = describe(shape.GetPrim())
+        points = _added(points, share, _offsets(holder, "Offsets", shape, rows), rows, name)
         if on_points and normals is not None:
             offsets = _offsets(holder, "NormalOffsets", shape, rows)
-            normals = _added(normals, share, offsets, rows)
+            normals = _added(normals, share, offsets, rows, name)
     return points, normals if on_points else None
 
 
@@ -96,7 +101,12 @@ def _offsets(
         value = attribute.Get()
     if value is None or not len(value):
         return None
-    offsets = np.array(value, dtype=np.float64).reshape(-1, 3)
+    offsets = np.array(value, dtype=np.float64)
+    if offsets.shape[1:] != (3,) or not np.isfinite(offsets).all():
+        raise MeshError(
+            f"{describe(shape.GetPrim())}: its offsets are not rows of three finite numbers; "
+            f"{REMEDY}"
+        )
     if rows is not None and len(offsets) != len(rows):
         raise MeshError(
             f"{describe(shape.GetPrim())}: has {len(offsets)} offsets for {len(rows)} "
@@ -106,14 +116,16 @@ def _offsets(
 
 
 def _added(
-    values: FloatArray, share: float, offsets: FloatArray | None, rows: IndexArray | None
+    values: FloatArray,
+    share: float,
+    offsets: FloatArray | None,
+    rows: IndexArray | None,
+    where: str,
 ) -> FloatArray:
     if offsets is None:
         return values
     if rows is None and len(offsets) != len(values):
-        raise MeshError(
-            f"a blend shape has {len(offsets)} offsets for {len(values)} points; {REMEDY}"
-        )
+        raise MeshError(f"{where}: has {len(offsets)} offsets for {len(values)} points; {REMEDY}")
     result = values.copy()
     target: Sequence[int] | slice | IndexArray = slice(None) if rows is None else rows
     result[target] += float(share) * offsets
@@ -142,4 +154,5 @@ def authored_normals(
         element = read_whole_numbers(UsdGeom.Mesh(prim).GetFaceVertexIndicesAttr(), time)
     known = (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying, UsdGeom.Tokens.faceVarying)
     fits = interpolation in known and len(element) == len(values)
+    fits = fits and bool((element >= 0).all() and (element < point_count).all())
     return (element if fits else None), values

@@ -17,7 +17,7 @@ from usdskin.notes import Note
 from usdskin.render.gprims import ROWS
 from usdskin.render.instancers import Link, Placed
 from usdskin.render.memory import available_bytes
-from usdskin.render.mesh_cage import to_meters
+from usdskin.render.mesh_cage import check_transform, to_meters
 from usdskin.render.mesh_limit import unit
 from usdskin.render.mesh_primvars import ElementCounts, read_primvar
 from usdskin.render.mesh_topology import FloatArray
@@ -77,8 +77,12 @@ def instance_meshes(
         values = [(name, _inherited(item, name, time, notes)) for name in sorted(set(names))]
         given = {name: found for name, found in values if found is not None}
         outermost = item.links[0].instancer
-        matrices, paths, rows = item.expand(to_world(outermost))
         where = describe(outermost)
+        outer = to_world(outermost)
+        check_transform(outer, where)
+        for link in item.links[:-1]:
+            check_transform(link.to_root, describe(link.prim))
+        matrices, paths, rows = item.expand(outer)
         # The innermost space is in stage units; the mesh is in metres.
         matrices[:, :3, :3] /= scale
         step = max(1, _CHUNK // (9 * len(mesh.triangles) + 3 * len(mesh.points)))

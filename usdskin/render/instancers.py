@@ -20,7 +20,7 @@ from usdskin.render.mesh_values import read_indices
 
 # isort: split
 # After ours, which register the schemas.
-from pxr import Usd, UsdGeom
+from pxr import Usd, UsdGeom, Vt
 
 _DEPTH_LIMIT = 32
 """Most instancers inside one another."""
@@ -196,13 +196,15 @@ class InstancerReader:
         where = describe(prim)
         for name in _PER_INSTANCE:
             attribute = prim.GetAttribute(name)
-            value = attribute.Get(time) if attribute and attribute.HasValue() else None
-            found = 0 if value is None else len(value)
+            if name == "ids" and not self._usable_ids(attribute):
+                continue
+            found = _length(attribute, time)
             if found != count and (found or name == "positions"):
                 raise LayerError(
                     f"{where}: {name} has {found} values, but protoIndices has {count}; export "
                     "the instancer again"
                 )
+        self._usable_ids(instancer.GetInvisibleIdsAttr())
         shown = np.ones(count, dtype=np.bool_)
         mask = instancer.ComputeMaskAtTime(time)
         if len(mask):
@@ -227,6 +229,16 @@ class InstancerReader:
                 "correct its position, orientation, scale or velocity"
             )
         return matrices, shown & self._with_size(prim, matrices, shown)
+
+    def _usable_ids(self, attribute: Usd.Attribute) -> bool:
+        """Return whether ids are of the type that USD reads; note others, which it passes over."""
+        value = attribute.Get(self.time)
+        if value is None or isinstance(value, Vt.Int64Array):
+            return True
+        what = f"{attribute.GetName()} is not of type int64[], so USD ignores it"
+        path = str(attribute.GetPrim().GetPath())
+        self.notes.append(Note("instancer-ids-ignored", path, what))
+        return False
 
     def _with_size(self, prim: Usd.Prim, matrices: FloatArray, shown: BoolArray) -> BoolArray:
         """Return which instances are not flattened; scaling by 0 is a way to hide one."""
@@ -280,6 +292,25 @@ _PER_INSTANCE = (
     "ids",
 )
 """Arrays with a value per instance; all but the positions may be left out."""
+
+
+def _length(attribute: Usd.Attribute, time: Usd.TimeCode) -> int:
+    """Return the number of values of an array, 0 where there is none.
+
+    Raises:
+        LayerError: It is of another type than the schema's, which USD would pass over.
+    """
+    if not attribute or not attribute.HasValue():
+        return 0
+    value = attribute.Get(time)
+    if value is None:
+        return 0
+    if not isinstance(value, attribute.GetTypeName().type.pythonClass):
+        raise LayerError(
+            f"{describe(attribute)}: {attribute.GetName()} does not hold what its type "
+            f"{attribute.GetTypeName()} asks for; export the instancer again"
+        )
+    return len(value)
 
 
 def _moment(instancer: UsdGeom.PointInstancer, time: Usd.TimeCode) -> Usd.TimeCode:

@@ -22,6 +22,7 @@ from usdskin.render.mesh_values import read_numbers, read_points, read_whole_num
 # After ours, which register the schemas.
 from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
+_METHODS = ("classicLinear", "dualQuaternion")
 _PREDICATE = Usd.TraverseInstanceProxies(Usd.PrimIsActive & Usd.PrimIsLoaded)
 
 
@@ -158,8 +159,13 @@ class PoseReader:
         if abs(to_world.GetDeterminant()) == 0.0:
             raise MeshError(f"{where}: its transform is singular; give it a scale that is not 0")
         space = self.cache.GetLocalToWorldTransform(bones.prim) * to_world.GetInverse()
+        method = str(query.GetSkinningMethod() or UsdSkel.Tokens.classicLinear)
+        if method not in _METHODS:
+            raise MeshError(
+                f"{where}: skel:skinningMethod is '{method}'; use {' or '.join(_METHODS)}"
+            )
         return _Influences(
-            str(query.GetSkinningMethod() or UsdSkel.Tokens.classicLinear),
+            method,
             query.GetGeomBindTransform(self.time),
             joints,
             indices.reshape(count, width),
@@ -193,6 +199,11 @@ class PoseReader:
             ),
             prim,
         )
+        if not np.isfinite(np.array(moved)).all():
+            raise MeshError(
+                f"{describe(prim)}: posed points are not finite; correct skel:geomBindTransform "
+                "or the skeleton's bindTransforms, which must not be singular"
+            )
         frame = influences.to_shape
         posed = np.array(moved, dtype=np.float64) @ frame[:3, :3].T + frame[:3, 3]
         element, authored = authored_normals(prim, len(points), self.time)
