@@ -296,6 +296,40 @@ def test_nothing_is_left_beside_a_finished_picture(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.exr", "out.spectral.exr"]
 
 
+def test_spectra_that_do_not_fit_into_memory_are_kept_on_disk_and_are_the_same(
+    tmp_path, monkeypatch
+):
+    from usdskin.render import memory
+
+    render(tmp_path)
+    expected = pixels(tmp_path)
+    kinds = []
+    monkeypatch.setattr(memory, "available_bytes", lambda: 1_000_000)
+    real = memory.np.memmap
+    monkeypatch.setattr(
+        memory.np, "memmap", lambda *given, **more: kinds.append(1) or real(*given, **more)
+    )
+    render(tmp_path)
+    assert kinds == [1]
+    for mine, whole in zip(pixels(tmp_path), expected, strict=True):
+        assert_same(mine, whole)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.exr", "out.spectral.exr"]
+
+
+def test_disk_without_room_for_the_spectra_is_one_line(tmp_path, monkeypatch):
+    from usdskin.errors import DeviceError
+    from usdskin.render import memory
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(memory, "available_bytes", lambda: 1_000_000)
+    monkeypatch.setattr(memory.os, "posix_fallocate", full)
+    with pytest.raises(DeviceError, match="No space left on device"):
+        render(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.slow
 def test_terminated_render_keeps_the_old_picture_and_resumes(tmp_path):
     out = tmp_path / "out.exr"
