@@ -178,6 +178,22 @@ def test_fingerprint_changes_with_every_input_and_with_nothing_else():
     assert fingerprint("ab", "c") != fingerprint("a", "bc")
 
 
+@pytest.mark.parametrize("name", ["forearm/forearm.usda", "skin_tones/skin_tones.usda"])
+def test_every_input_of_a_shipped_stage_has_a_fingerprint(tmp_path, monkeypatch, name):
+    keys = []
+
+    def stop(*_given, checkpoint, **_more):
+        keys.append(checkpoint.key())
+        raise Stop
+
+    monkeypatch.setattr("usdskin.render.render.integrate", stop)
+    for _ in range(2):
+        with pytest.raises(Stop):
+            overrides = RenderOverrides(width=16, samples=1)
+            render_stage(STAGE.parents[1] / name, tmp_path / "out.exr", overrides, SilentProgress())
+    assert keys[0] == keys[1]
+
+
 def render(tmp_path, **overrides):
     given = {"width": 40, "samples": 4, "threads": 1, "png": False, "spectral_output": True}
     return render_stage(
