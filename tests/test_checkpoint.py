@@ -178,6 +178,22 @@ def test_fingerprint_changes_with_every_input_and_with_nothing_else():
     assert fingerprint("ab", "c") != fingerprint("a", "bc")
 
 
+@pytest.mark.parametrize("name", ["forearm/forearm.usda", "skin_tones/skin_tones.usda"])
+def test_every_input_of_a_shipped_stage_has_a_fingerprint(tmp_path, monkeypatch, name):
+    keys = []
+
+    def stop(*_given, checkpoint, **_more):
+        keys.append(checkpoint.key())
+        raise Stop
+
+    monkeypatch.setattr("usdskin.render.render.integrate", stop)
+    for _ in range(2):
+        with pytest.raises(Stop):
+            overrides = RenderOverrides(width=16, samples=1)
+            render_stage(STAGE.parents[1] / name, tmp_path / "out.exr", overrides, SilentProgress())
+    assert keys[0] == keys[1]
+
+
 def render(tmp_path, **overrides):
     given = {"width": 40, "samples": 4, "threads": 1, "png": False, "spectral_output": True}
     return render_stage(
@@ -294,6 +310,40 @@ def test_snapshot_shows_what_is_finished_and_goes_with_the_end(tmp_path, monkeyp
 def test_nothing_is_left_beside_a_finished_picture(tmp_path):
     render(tmp_path, resume=True, snapshot_s=1e-6)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.exr", "out.spectral.exr"]
+
+
+def test_spectra_that_do_not_fit_into_memory_are_kept_on_disk_and_are_the_same(
+    tmp_path, monkeypatch
+):
+    from usdskin.render import memory
+
+    render(tmp_path)
+    expected = pixels(tmp_path)
+    kinds = []
+    monkeypatch.setattr(memory, "available_bytes", lambda: 1_000_000)
+    real = memory.np.memmap
+    monkeypatch.setattr(
+        memory.np, "memmap", lambda *given, **more: kinds.append(1) or real(*given, **more)
+    )
+    render(tmp_path)
+    assert kinds == [1]
+    for mine, whole in zip(pixels(tmp_path), expected, strict=True):
+        assert_same(mine, whole)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.exr", "out.spectral.exr"]
+
+
+def test_disk_without_room_for_the_spectra_is_one_line(tmp_path, monkeypatch):
+    from usdskin.errors import DeviceError
+    from usdskin.render import memory
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(memory, "available_bytes", lambda: 1_000_000)
+    monkeypatch.setattr(memory.os, "posix_fallocate", full)
+    with pytest.raises(DeviceError, match="No space left on device"):
+        render(tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow

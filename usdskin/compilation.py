@@ -52,22 +52,21 @@ class _Wait:
     """The progress of several modules; says nothing once it is over."""
 
     def __init__(self, progress: Progress, count: int) -> None:
-        self._progress, self._lock, self._left = progress, threading.Lock(), count
+        self._progress, self._lock, self._open = progress, threading.Lock(), count > 0
         if count:
             progress.start(count, COMPILING)
 
     def advance(self) -> None:
         """Count one module as compiled."""
         with self._lock:
-            if self._left:
-                self._left -= 1
+            if self._open:
                 self._progress.advance()
 
     def end(self) -> None:
         """End the piece of work, so that another may begin."""
         with self._lock:
-            if self._left:
-                self._left = 0
+            if self._open:
+                self._open = False
                 self._progress.done()
 
 

@@ -342,8 +342,3 @@ def merge_rows(
         outputs=[values, variance, status],
         device=raw.device,
     )
-
-
-def load(device: str) -> None:
-    """Load this module's kernels, compiled if the cache has none."""
-    wp.load_module(__name__, device)

@@ -119,8 +119,3 @@ def render_data(
         outputs=[tile],
         device=tile.face.device,
     )
-
-
-def load(device: str) -> None:
-    """Load this module's kernels, compiled if the cache has none."""
-    wp.load_module(__name__, device)

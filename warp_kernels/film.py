@@ -307,8 +307,3 @@ def render_tile(
         outputs=[film],
         device=film.xyza.device,
     )
-
-
-def load(device: str) -> None:
-    """Load this module's kernels, compiled if the cache has none."""
-    wp.load_module(__name__, device)

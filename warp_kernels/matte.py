@@ -135,8 +135,3 @@ def render_mattes(
         outputs=[tile],
         device=tile.coverage.device,
     )
-
-
-def load(device: str) -> None:
-    """Load this module's kernels, compiled if the cache has none."""
-    wp.load_module(__name__, device)

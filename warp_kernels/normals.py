@@ -44,8 +44,3 @@ def shade_normals(
         outputs=[film],
         device=normal.device,
     )
-
-
-def load(device: str) -> None:
-    """Load this module's kernels, compiled if the cache has none."""
-    wp.load_module(__name__, device)

@@ -304,8 +304,3 @@ def survey_blocks(
         outputs=[noise_out],
         device=noise_out.device,
     )
-
-
-def load(device: str) -> None:
-    """Load this module's kernels, compiled if the cache has none."""
-    wp.load_module(__name__, device)

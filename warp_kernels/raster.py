@@ -137,8 +137,3 @@ def rasterize_band(
         device=sample.device,
     )
     return face
-
-
-def load(device: str) -> None:
-    """Load this module's kernels, compiled if the cache has none."""
-    wp.load_module(__name__, device)

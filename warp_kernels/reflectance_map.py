@@ -197,8 +197,3 @@ def integrate_zonal(
         outputs=list(out),
         device=normal.device,
     )
-
-
-def load(device: str) -> None:
-    """Load this module's kernels, compiled if the cache has none."""
-    wp.load_module(__name__, device)

@@ -138,8 +138,3 @@ def prefilter(
         outputs=[value_out],
         device=value_out.device,
     )
-
-
-def load(device: str) -> None:
-    """Load this module's kernels, compiled if the cache has none."""
-    wp.load_module(__name__, device)

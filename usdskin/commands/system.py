@@ -100,7 +100,7 @@ def warmup(options: GlobalOptions, /) -> None:
     from usdskin.device import open_workers
 
     begun = time.perf_counter()
-    compiled = 0
+    compiled, lines = 0, []
     with reporter:
         device = open_workers(options.device).device
         for kernels in warm_up(device, options.threads, reporter.progress()):
@@ -111,9 +111,8 @@ def warmup(options: GlobalOptions, /) -> None:
                 compiled=kernels.compiled,
                 seconds=round(kernels.seconds, 3),
             )
-            if not reporter.json:
-                done = f"compiled in {kernels.seconds:.1f} s" if kernels.compiled else "ready"
-                click.echo(f"{kernels.name + ':':18} {done}")
+            done = f"compiled in {kernels.seconds:.1f} s" if kernels.compiled else "ready"
+            lines.append(f"{kernels.name + ':':18} {done}")
     seconds = time.perf_counter() - begun
     if reporter.json:
         reporter.event(
@@ -124,6 +123,7 @@ def warmup(options: GlobalOptions, /) -> None:
             cache=str(cache_folder()),
         )
     else:
+        click.echo("\n".join(lines))
         what = f"{compiled} modules compiled" if compiled else "all was ready"
         click.echo(f"{what} for {device} ({seconds:.1f} s); kept in {cache_folder()}")
 

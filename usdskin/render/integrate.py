@@ -22,6 +22,7 @@ from usdskin.render.aovs import TRACED_SOURCES
 from usdskin.render.cameras import Camera
 from usdskin.render.checkpoint import Checkpoint, keeping
 from usdskin.render.film import sample_offsets
+from usdskin.render.memory import pixel_zeros
 from usdskin.render.projection import project
 from usdskin.render.surfaces import band_groups
 from usdskin.warp_kernels import data, film, matte, raster, reflectance_map, structs, trace
@@ -154,7 +155,8 @@ def integrate(
     offsets = wp.array(sample_offsets(samples, pixel_filter), dtype=wp.vec2f, device=device)
     xyza = np.zeros((count, 4), np.float32)
     bands = scene.band_count if spectral else 0
-    spectrum = np.zeros((count, band_groups(bands), 4), np.float32)
+    folder = checkpoint.file.parent if checkpoint is not None else None
+    spectrum = pixel_zeros((count, band_groups(bands), 4), folder)
     on_host = device == "cpu"
     chunk = TILE_PIXELS if on_host else GPU_TILE_PIXELS
     rows = min(max(1, chunk // width), height)

@@ -1,9 +1,15 @@
-"""How much memory a picture takes, and how much there is."""
+"""How much memory a picture takes, how much there is, and where spectra go that do not fit."""
 
 from __future__ import annotations
 
+import math
+import os
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from usdskin.errors import DeviceError
 
@@ -12,6 +18,9 @@ if TYPE_CHECKING:
 
 _AOV_CHANNELS = {"Z": 1, "primId": 1, "st": 2, "crypto_object": 12, "crypto_material": 12}
 _BYTES = 4
+_LARGEST_SHARE = 0.25
+"""Of the free memory; larger spectra are kept on disk."""
+
 _BEAUTY_CHANNELS = 8
 """Accumulated XYZ and alpha, and the RGBA that is written."""
 
@@ -37,14 +46,49 @@ def check_memory(product: Product, band_count: int) -> None:
     Raises:
         DeviceError: The product's pixels need more memory than there is.
     """
-    needed, there = picture_bytes(product, band_count), available_bytes()
+    width, height = product.resolution
+    there = available_bytes()
+    on_disk = _too_large(width * height * band_count * _BYTES, there)
+    needed = picture_bytes(product, 0 if on_disk else band_count)
     if there is not None and needed > there:
-        width, height = product.resolution
         bands = f" with {band_count} bands" if product.spectral is not None else ""
         raise DeviceError(
             f"{product.files[0]}: {width} x {height} pixels{bands} need {needed / 2**30:.1f} GiB "
             f"and {there / 2**30:.1f} GiB are free; make the picture smaller with -w."
         )
+
+
+def pixel_zeros(shape: tuple[int, ...], folder: Path | None) -> NDArray[np.float32]:
+    """Return zeros, in memory or, where they would take too much of it, in an unnamed file.
+
+    The system writes the file's pages out and drops them when memory is wanted; the space is
+    reserved beforehand, and the file goes with the array.
+
+    Args:
+        shape: Shape of the array.
+        folder: Where the file may lie; None keeps everything in memory.
+
+    Raises:
+        DeviceError: The disk has no room for it.
+    """
+    size = math.prod(shape) * _BYTES
+    if folder is None or not _too_large(size, available_bytes()):
+        return np.zeros(shape, np.float32)
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            os.posix_fallocate(file.fileno(), 0, size)
+            return np.memmap(file, np.float32, "r+", shape=shape)
+    except OSError as error:
+        raise DeviceError(
+            f"{folder}: {size / 2**30:.1f} GiB of spectra fit neither into memory nor here "
+            f"({error.strerror or error}); free space, or make the picture smaller with -w."
+        ) from None
+
+
+def _too_large(size: int, there: int | None) -> bool:
+    """Return whether an array is to be kept on disk."""
+    can = hasattr(os, "posix_fallocate")
+    return can and there is not None and size > max(_LARGEST_SHARE * there, 1)
 
 
 def _meminfo() -> int | None:
