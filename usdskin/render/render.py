@@ -10,7 +10,7 @@ import time as clock
 from pathlib import Path
 
 from usdskin.device import Workers, open_workers
-from usdskin.errors import FramesError, UsdSkinError
+from usdskin.errors import FramesError, UsageError, UsdSkinError
 from usdskin.frames import frame_path
 from usdskin.notes import Note
 from usdskin.progress import Progress
@@ -26,6 +26,7 @@ from usdskin.render.products import Product, prepare_folders
 from usdskin.render.scene import Scene, mean_white, read_scene, upload
 from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
 from usdskin.render.traced import Sampling, integrate_traced, sampling_key
+from usdskin.render.transfer import read_transfers, shade_transfers
 
 # isort: split
 # After ours, which register the schemas.
@@ -96,8 +97,20 @@ def _render_frame(
     show_dome = job.settings.dome == "show"
     traced = job.settings.integrator == "traced"
     brute = job.settings.spectral_method == "brute"
-    device_scene, light = upload(scene, workers, show_dome=show_dome, brute=brute, traced=traced)
-    _lap(seconds, "bake", begun)
+    transfers = None if traced else read_transfers(stage, scene, job.settings)
+    if brute and transfers is not None:
+        raise UsageError(
+            "--spectral brute takes no baked shadows; leave the transfer layer out, or render "
+            "with --integrator traced."
+        )
+    device_scene, light = upload(
+        scene, workers, show_dome=show_dome, brute=brute, traced=traced,
+        measured=transfers is not None,
+    )  # fmt: skip
+    begun = _lap(seconds, "bake", begun)
+    if transfers is not None:
+        shade_transfers(transfers, scene.lights, light, device_scene, workers)
+        _lap(seconds, "shadows", begun)
     for product, files in wanted:
         _render_product(
             stage, job, frame, product, files, scene, device_scene, light, workers, progress, report
