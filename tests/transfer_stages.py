@@ -119,9 +119,7 @@ def box(sizes, steps=4):
     return np.concatenate([up, down]), faces
 
 
-def write_stage(
-    path, *meshes, layers=(), dome=UNIFORM, turn=0.0, wrap=0.3, opacity=0.0, extra=""
-):
+def write_stage(path, *meshes, layers=(), dome=UNIFORM, turn=0.0, wrap=0.3, opacity=0.0, extra=""):
     """Write a stage of meshes under a dome; return its path."""
     names = ", ".join(f"@./{layer}@" for layer in layers)
     text = HEADER.format(layers=names) + WORLD.format(
@@ -140,4 +138,4 @@ def window_dome(path, lamp=True):
         image[12:13, 80:82] = 160.0
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, {"RGB": image}).write(str(path))
-    return f'{UNIFORM}\n        asset inputs:texture:file = @./{path.name}@'
+    return f"{UNIFORM}\n        asset inputs:texture:file = @./{path.name}@"

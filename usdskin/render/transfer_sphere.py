@@ -14,13 +14,17 @@ from numpy.typing import NDArray
 
 from usdskin.latlong import latlong_coordinates, latlong_directions
 
+_AXES = np.linalg.qr(np.array([[0.83, 0.31, -0.46], [-0.27, 0.91, 0.32], [0.52, -0.14, 0.84]]))[0]
+"""Frame of the rings: their axis is none that buildings and floors have, or whole rings would be
+hidden at once."""
+
 WORD = 32
 """Directions that share a word of bits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TransferSphere:
-    """Directions on rings around +Y, world space, ordered in words of neighbours."""
+    """Directions on rings around an oblique axis, ordered in words of neighbours."""
 
     rings: int
     """Number of rings."""
@@ -51,7 +55,7 @@ class TransferSphere:
         Returns:
             Places in the words and weights that add up to 1, shapes [n, 4].
         """
-        u, v = latlong_coordinates(directions)
+        u, v = latlong_coordinates(directions @ _AXES)
         at = np.clip(v * self.rings - 0.5, 0.0, self.rings - 1.0)
         upper = np.minimum(at.astype(np.int64), max(self.rings - 2, 0))
         lower_share = at - upper
@@ -88,7 +92,7 @@ def transfer_sphere(rings: int) -> TransferSphere:
     order = np.empty(len(found), np.int64)
     order[sequence] = np.arange(len(found))
     direction = np.zeros((-(-len(found) // WORD) * WORD, 3), np.float32)
-    direction[order] = found
+    direction[order] = found @ _AXES.T
     return TransferSphere(rings, counts, order, direction)
 
 
