@@ -21,7 +21,9 @@ def Xform "World"
         float focalLength = 2
         float horizontalAperture = 1
         float verticalAperture = 1
-        matrix4d xformOp:transform = ( (1, 0, 0, 0), (0, 0.6, -0.8, 0), (0, 0.8, 0.6, 0), (0, 3.2, 2.4, 1) )
+        matrix4d xformOp:transform = (
+            (1, 0, 0, 0), (0, 0.6, -0.8, 0), (0, 0.8, 0.6, 0), (0, 3.2, 2.4, 1)
+        )
         uniform token[] xformOpOrder = ["xformOp:transform"]
     }}
     def DomeLight "Dome" (prepend apiSchemas = ["SpectralLightAPI"])
@@ -30,7 +32,9 @@ def Xform "World"
         float3 xformOp:rotateXYZ = (0, {turn}, 0)
         uniform token[] xformOpOrder = ["xformOp:rotateXYZ"]
     }}
-    def Material "Skin" (prepend apiSchemas = ["SkinMaterialAPI", "SpectralDistributionAPI:scattering"])
+    def Material "Skin" (
+        prepend apiSchemas = ["SkinMaterialAPI", "SpectralDistributionAPI:scattering"]
+    )
     {{
         float inputs:skin:alpha = 0.7
         float inputs:skin:wrap = {wrap}
@@ -54,7 +58,7 @@ def mesh(name, points, faces, material="Skin"):
         api = '(prepend apiSchemas = ["MaterialBindingAPI"])'
     counts = [len(face) for face in faces]
     corners = [int(corner) for face in faces for corner in face]
-    positions = ", ".join("(%.9g, %.9g, %.9g)" % tuple(point) for point in points)
+    positions = ", ".join(f"({x:.9g}, {y:.9g}, {z:.9g})" for x, y, z in points)
     return f"""
     def Mesh "{name}" {api}
     {{

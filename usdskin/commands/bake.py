@@ -25,6 +25,12 @@ _PATH = click.Path(path_type=Path)
     metavar="N",
     help="Directions looked in from every vertex.  [default: 2048]",
 )
+@click.option(
+    "--receivers",
+    type=names,
+    metavar="PRIM,...",
+    help="Measure shadows on this geometry alone; all of it casts them.  [default: all]",
+)
 @click.option("--level", type=int, help="Subdivision level, the one to render at.")
 @click.option("-rs", "--settings", metavar="PRIM", help="RenderSettings prim to use.")
 @click.option(
@@ -62,6 +68,7 @@ def bake(options: GlobalOptions, /, stage: Path, output: Path, **given: Any) -> 
     from usdskin.render.transfer_bake import bake_transfer
 
     frame, directions = given.pop("frame"), given.pop("directions")
+    receivers = given.pop("receivers")
     overrides = RenderOverrides(
         frames=None if frame is None else (frame,),
         subdivision_level=given.pop("level"),
@@ -70,7 +77,14 @@ def bake(options: GlobalOptions, /, stage: Path, output: Path, **given: Any) -> 
         **given,
     )
     with reporter:
-        report = bake_transfer(stage, output, overrides, reporter.progress(), directions=directions)
+        report = bake_transfer(
+            stage,
+            output,
+            overrides,
+            reporter.progress(),
+            directions=directions,
+            receivers=receivers,
+        )
     reporter.result("bake", report, report)
     reporter.wrote(report.paths)
 

@@ -92,6 +92,7 @@ def bake_transfer(
     progress: Progress,
     *,
     directions: int | None = None,
+    receivers: tuple[str, ...] | None = None,
 ) -> BakeReport:
     """Measure what every vertex of a stage sees of a fixed set of directions.
 
@@ -101,6 +102,7 @@ def bake_transfer(
         overrides: Frame, level, purposes, variants and the like.
         progress: Advances by rays.
         directions: How many, about.
+        receivers: Paths of the prims to measure on, with all below them; None for everything.
 
     Raises:
         UsdSkinError: The stage or an option cannot be used.
@@ -120,7 +122,7 @@ def bake_transfer(
         settings = read_settings(stage, overrides)
         time = _time(stage, overrides)
         scene = read_scene(stage, time, settings, notes, unlit=True)
-        meshes = _baked_meshes(stage, scene, notes)
+        meshes = _baked_meshes(stage, scene, receivers, notes)
         workers = open_workers(settings.device, settings.threads)
         read = clock.perf_counter()
         places = [places_of(mesh) for mesh in meshes]
@@ -186,12 +188,22 @@ def _time(stage: Usd.Stage, overrides: RenderOverrides) -> Usd.TimeCode:
     return Usd.TimeCode.EarliestTime()
 
 
-def _baked_meshes(stage: Usd.Stage, scene: Scene, notes: list[Note]) -> list[MeshArrays]:
-    """Return the meshes whose prims a layer can say something about."""
+def _baked_meshes(
+    stage: Usd.Stage, scene: Scene, receivers: tuple[str, ...] | None, notes: list[Note]
+) -> list[MeshArrays]:
+    """Return the meshes that are wanted and that a layer can say something about."""
+    for path in receivers or ():
+        valid = path.startswith("/") and Sdf.Path.IsValidPathString(path)
+        if not (valid and stage.GetPrimAtPath(path)):
+            raise UsageError(f"--receivers {path}: the stage has no such prim; give its path.")
     found = []
     everything = [mesh.points for mesh in scene.meshes]
     size = float(np.ptp(np.concatenate(everything), axis=0).max()) if everything else 0.0
     for mesh in scene.meshes:
+        if receivers is not None and not any(
+            Sdf.Path(mesh.path).HasPrefix(path) for path in receivers
+        ):
+            continue
         if stage.GetPrimAtPath(mesh.path).IsInstanceProxy():
             what = "is part of an instance, which no layer can override; it stays unshadowed"
             notes.append(Note("transfer-instance", mesh.path, what))
@@ -207,7 +219,9 @@ def _baked_meshes(stage: Usd.Stage, scene: Scene, notes: list[Note]) -> list[Mes
         found.append(mesh)
     if not found:
         name = stage.GetRootLayer().GetDisplayName()
-        raise LayerError(f"{name}: has no geometry to bake; check purposes and visibility")
+        raise LayerError(
+            f"{name}: has no geometry to bake; check purposes, visibility and receivers"
+        )
     return found
 
 

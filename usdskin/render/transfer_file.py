@@ -139,7 +139,10 @@ class TransferFile:
             self._archive = np.load(path, allow_pickle=False)
             if not isinstance(self._archive, np.lib.npyio.NpzFile):
                 raise ValueError("no archive")
-            self._sizes = {item.filename: item.file_size for item in self._archive.zip.infolist()}
+            archive = self._archive.zip
+            if archive is None:
+                raise ValueError("no archive")
+            self._sizes = {item.filename: item.file_size for item in archive.infolist()}
         except FileNotFoundError:
             raise LayerError(f"{path}: no such file; {_REMEDY}") from None
         except (OSError, ValueError, EOFError, zipfile.BadZipFile):

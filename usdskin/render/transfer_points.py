@@ -70,15 +70,15 @@ def places_of(mesh: MeshArrays) -> Places:
     first = np.zeros(len(found), np.int64)
     first[corner_place[::-1]] = np.arange(len(corner_place))[::-1]
     total = np.where((length > 1e-6)[:, None], total, corner_normal[first])
-    total /= np.maximum(np.linalg.norm(total, axis=-1), 1e-12)[:, None]
-    cosine = np.einsum("ij,ij->i", total[corner_place], corner_normal)
+    mean = total / np.maximum(np.linalg.norm(total, axis=-1), 1e-12)[:, None]
+    cosine = np.einsum("ij,ij->i", mean[corner_place], corner_normal)
     least = np.ones(len(found))
     np.minimum.at(least, corner_place, cosine)
     spread = np.where(least > 0.0, np.sqrt(np.maximum(1.0 - least**2, 0.0)), 1.0)
     return Places(
         found // len(mesh.material_paths),
         found % len(mesh.material_paths),
-        total.astype(np.float32),
+        mean.astype(np.float32),
         spread.astype(np.float32),
         corner_place,
     )
