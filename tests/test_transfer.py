@@ -1,8 +1,6 @@
 """Baked transfer: closed forms of what is blocked, then the traced picture, then misuse."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import OpenEXR
@@ -26,7 +24,12 @@ from usdskin.render.environment import build_environment
 from usdskin.render.overrides import RenderOverrides
 from usdskin.render.scene import read_scene, upload
 from usdskin.render.settings import read_settings
-from usdskin.render.transfer import project_dome, read_transfers, shade_transfers
+from usdskin.render.transfer import (
+    project_dome,
+    read_transfers,
+    shade_transfers,
+    upload_transfers,
+)
 from usdskin.render.transfer_bake import bake_transfer
 from usdskin.render.transfer_file import joined, pack
 from usdskin.render.transfer_sphere import ring_count, transfer_sphere
@@ -50,7 +53,8 @@ def changes(path):
     workers = open_workers("cpu", 1)
     transfers = read_transfers(stage, scene, settings)
     device_scene, light = upload(scene, workers, show_dome=False, measured=True)
-    shade_transfers(transfers, scene.lights, light, device_scene, workers)
+    shadows = upload_transfers(transfers, workers.device)
+    shade_transfers(shadows, scene.lights, light, device_scene, workers)
     # A white dome has three equal channels: the first one tells it all.
     return scene, transfers, device_scene.geometry.transfer.numpy()[:, :, 0], device_scene, light
 
@@ -359,7 +363,7 @@ def test_a_layer_of_the_stage_is_not_overwritten_unless_it_is_a_bake(room, capsy
 # The command line, end to end.
 
 
-def test_bake_render_and_look_end_to_end(tmp_path):
+def test_bake_render_and_look_end_to_end(tmp_path, capsys):
     write_stage(
         tmp_path / "shot.usda", mesh("Floor", *grid(1.0, 4)), mesh("Lid", *disc(0.3, 0.3)),
         layers=["transfer.usda"],
@@ -367,23 +371,39 @@ def test_bake_render_and_look_end_to_end(tmp_path):
     shot, layer = tmp_path / "shot.usda", tmp_path / "transfer.usda"
 
     def run(*arguments):
-        command = [sys.executable, "-m", "usdskin", "--json", "--device", "cpu"]
-        done = subprocess.run(
-            [*command, *map(str, arguments)], capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, done.stderr
-        return [json.loads(line) for line in done.stdout.splitlines()]
+        assert main(["--json", "--device", "cpu", *map(str, arguments)]) == 0
+        return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
     for _ in range(2):  # the second time the stage has the first one's layer
         events = run("bake", shot, "-o", layer, "--directions", 128)
-        assert [e["path"] for e in events if e["event"] == "wrote"] == [
+        assert [event["path"] for event in events if event["event"] == "wrote"] == [
             str(layer), str(layer.with_suffix(".npz")),
         ]  # fmt: skip
-    (told,) = [e for e in events if e["event"] == "bake"]
+    (told,) = [event for event in events if event["event"] == "bake"]
     assert told["prims"] == 2
     assert told["rays"] == told["places"] * transfer_sphere(ring_count(128)).count
     run("render", shot, tmp_path / "x.exr", "-r", 16, 16)
-    (info,) = [e for e in run("info", shot) if e["event"] == "info"]
+    (info,) = [event for event in run("info", shot) if event["event"] == "info"]
     assert [row["path"] for row in info["transfers"]] == ["/World/Floor", "/World/Lid"]
-    found = [e for e in run("validate", shot) if e["event"] == "finding"]
-    assert not [e for e in found if e["severity"] == "error"]
+    main(["--json", "validate", str(shot)])
+    found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert not [line for line in found if "ransfer" in str(line.get("message"))]
+
+
+def test_a_referenced_bake_and_receivers_alone(tmp_path):
+    """By reference the paths differ; what is not measured is rendered as without a bake."""
+    base = write_stage(tmp_path / "base.usda", *SCENE)
+    arguments = ["-q", "--device", "cpu", "bake", str(base), "--directions", "64"]
+    arguments += ["-o", str(tmp_path / "transfer.usda"), "--receivers", "/World/Floor"]
+    assert main(arguments) == 0
+    stage = tmp_path / "moved.usda"
+    stage.write_text(
+        base.read_text().replace(
+            'def Xform "World"', 'def Xform "Set" (references = @./transfer.usda@)'
+        ).replace("</World/", "</Set/").replace('defaultPrim = "World"', 'defaultPrim = "Set"')
+    )  # fmt: skip
+    scene, transfers, change, *_ = changes(stage)
+    assert [mesh.path for mesh in scene.meshes] == ["/Set/Floor", "/Set/Ball"]
+    assert set(transfers.prim) == {0}
+    assert (transfers.corner_vertex[3 * len(scene.meshes[0].triangles) :] == -1).all()
+    assert change[:, 0].min() < -0.1

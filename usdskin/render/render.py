@@ -26,7 +26,7 @@ from usdskin.render.products import Product, prepare_folders
 from usdskin.render.scene import Scene, mean_white, read_scene, upload
 from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
 from usdskin.render.traced import Sampling, integrate_traced, sampling_key
-from usdskin.render.transfer import read_transfers, shade_transfers
+from usdskin.render.transfer import read_transfers, shade_transfers, upload_transfers
 
 # isort: split
 # After ours, which register the schemas.
@@ -109,7 +109,8 @@ def _render_frame(
     )  # fmt: skip
     begun = _lap(seconds, "bake", begun)
     if transfers is not None:
-        shade_transfers(transfers, scene.lights, light, device_scene, workers)
+        shadows = upload_transfers(transfers, workers.device)
+        shade_transfers(shadows, scene.lights, light, device_scene, workers)
         _lap(seconds, "shadows", begun)
     for product, files in wanted:
         _render_product(

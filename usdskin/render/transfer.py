@@ -1,8 +1,8 @@
 """Baked shadows in a picture: measurements of a stage, under the light of a frame.
 
-Reads: ``SkinTransferAPI`` of a stage's prims (``read_transfers``, once per geometry). Makes: what
-each vertex's diffuse light lacks (``shade_transfers``, once per light), which the map integrator
-adds to what its maps give. A camera costs nothing.
+Reads: ``SkinTransferAPI`` of a stage's prims (``read_transfers`` and ``upload_transfers``, once per
+geometry). Makes: what each vertex's diffuse light lacks (``shade_transfers``, once per light), and
+the map integrator adds it to what its maps give. A camera costs nothing.
 """
 
 from __future__ import annotations
@@ -214,8 +214,40 @@ def _surroundings(
     return "the stage has another number of prims"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceTransfers:
+    """The same on a device."""
+
+    sphere: TransferSphere
+    directions: transfer.Directions
+    measured: transfer.Measured
+    vertices: transfer.Vertices
+    corner_vertex: wp.array
+    """Vertex of every corner, -1 where there is none, shape [3 triangle_count]."""
+
+    material: NDArray[np.int32]
+    """Material of each vertex, shape [vertex_count]."""
+
+
+def upload_transfers(transfers: Transfers, device: str) -> DeviceTransfers:
+    """Copy the baked shadows of a scene to a device."""
+    measured, vertices = _device_measured(transfers, device)
+    return DeviceTransfers(
+        transfers.sphere,
+        _device_directions(transfers.sphere, device),
+        measured,
+        vertices,
+        wp.array(transfers.corner_vertex, dtype=wp.int32, device=device),
+        transfers.material,
+    )
+
+
 def shade_transfers(
-    transfers: Transfers, lights: Lights, field: LightField, scene: DeviceScene, workers: Workers
+    transfers: DeviceTransfers,
+    lights: Lights,
+    field: LightField,
+    scene: DeviceScene,
+    workers: Workers,
 ) -> None:
     """Put a scene's baked shadows under its lights, for the map integrator to add.
 
@@ -242,27 +274,23 @@ def shade_transfers(
         first += 1
     ranks = scene.materials.passage_rank.numpy()[transfers.material]
     columns = groups * (2 + 2 * int(ranks.max(initial=0)))
-    count = len(transfers.place)
+    count = len(transfers.material)
     change = wp.zeros((count, columns), dtype=wp.vec4f, device=device)
-    directions = _device_directions(transfers.sphere, device)
-    measured, vertices = _device_measured(transfers, device)
     lamps = _lamp_sets(sets, device)
     device_flux = vec4(flux, device)
 
     def work(begin: int, end: int) -> None:
         transfer.gather_light(
-            field.device_lights, scene.materials, directions, measured, vertices, device_flux,
-            change, begin, end,
+            field.device_lights, scene.materials, transfers.directions, transfers.measured,
+            transfers.vertices, device_flux, change, begin, end,
         )  # fmt: skip
         transfer.gather_lamps(
-            scene.geometry, field.device_lights, scene.materials, measured, vertices, lamps,
-            change, begin, end,
+            scene.geometry, field.device_lights, scene.materials, transfers.measured,
+            transfers.vertices, lamps, change, begin, end,
         )  # fmt: skip
 
     workers.run(count, _CHUNK if device == "cpu" else count, work)
-    scene.geometry.transfer_vertex = wp.array(
-        transfers.corner_vertex, dtype=wp.int32, device=device
-    )
+    scene.geometry.transfer_vertex = transfers.corner_vertex
     scene.geometry.transfer = change
 
 
