@@ -39,6 +39,10 @@ class Directions:
     word_reach: wp.array[wp.float32]
     """Largest distance of a direction from ``word_center``, shape [word_count]."""
 
+    byte_center: wp.array[wp.vec3f]
+    byte_reach: wp.array[wp.float32]
+    """The same of every eight directions, shape [4 word_count]."""
+
     word_full: wp.array[wp.uint32]
     """The bits of a word that are in use, shape [word_count]."""
 
@@ -158,6 +162,22 @@ def _given(rank: wp.int32, x: wp.float32) -> wp.float32:
     return 1.0
 
 
+@wp.func
+def _matters(
+    bits: wp.uint32, full: wp.uint32, middle: wp.float32, reach: wp.float32, rank: wp.int32,
+    wrap: wp.float32,
+) -> bool:  # fmt: skip
+    """Return whether any of some directions may change what the maps have given.
+
+    Their cosines lie within ``reach`` of ``middle``; ``bits`` says which are weakened.
+    """
+    if middle + reach <= -wrap:
+        return False
+    if rank > 0 and middle - reach <= 0.0:
+        return bits != full or middle + reach > 0.0
+    return bits != wp.uint32(0)
+
+
 @wp.kernel(enable_backward=False)
 def _gather_light_kernel(
     # In:
@@ -209,26 +229,25 @@ def _gather_light_kernel(
             bits = measured.weakened[row, word]
             middle = wp.dot(normal, directions.word_center[word])
             reach = directions.word_reach[word]
-            needed = middle + reach > -wrap
-            if rank > 0:
-                if bits == wp.uint32(0) and middle - reach > 0.0:
-                    needed = False
-                if bits == directions.word_full[word] and middle + reach <= 0.0:
-                    needed = False
-            elif bits == wp.uint32(0):
-                needed = False
-            if needed:
-                for b in range(32):
-                    d = 32 * word + b
-                    x = wp.dot(normal, directions.direction[d])
-                    given = _given(rank, x)
-                    change = 1.0 - given
-                    if ((bits >> wp.uint32(b)) & wp.uint32(1)) != wp.uint32(0):
-                        change = -given
-                    if change != 0.0 and x > -wrap:
-                        light = change * flux[g, d]
-                        lambert += wp.max(x, 0.0) * light
-                        wrapped += ((x + wrap) * narrow) * light
+            if _matters(bits, directions.word_full[word], middle, reach, rank, wrap):
+                full = directions.word_full[word]
+                for q in range(4):
+                    part = (bits >> wp.uint32(8 * q)) & wp.uint32(255)
+                    middle = wp.dot(normal, directions.byte_center[4 * word + q])
+                    reach = directions.byte_reach[4 * word + q]
+                    used = (full >> wp.uint32(8 * q)) & wp.uint32(255)
+                    if _matters(part, used, middle, reach, rank, wrap):
+                        for b in range(8):
+                            d = 32 * word + 8 * q + b
+                            x = wp.dot(normal, directions.direction[d])
+                            given = _given(rank, x)
+                            change = 1.0 - given
+                            if ((part >> wp.uint32(b)) & wp.uint32(1)) != wp.uint32(0):
+                                change = -given
+                            if change != 0.0 and x > -wrap:
+                                light = change * flux[g, d]
+                                lambert += wp.max(x, 0.0) * light
+                                wrapped += ((x + wrap) * narrow) * light
         for e in range(begin, end):
             d = measured.entry_direction[e]
             x = wp.dot(normal, directions.direction[d])

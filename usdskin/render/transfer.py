@@ -28,7 +28,7 @@ from usdskin.render.settings import RenderSettings
 from usdskin.render.transfer_bake import reaches, scene_hash
 from usdskin.render.transfer_file import MeshTransfer, TransferFile, joined
 from usdskin.render.transfer_points import geometry_hashes, places_of, shaded_vertices
-from usdskin.render.transfer_sphere import WORD, TransferSphere, transfer_sphere
+from usdskin.render.transfer_sphere import BYTE, WORD, TransferSphere, transfer_sphere
 from usdskin.warp_kernels import transfer
 
 # isort: split
@@ -344,17 +344,23 @@ def _block_directions(height: int, width: int, step: int) -> NDArray[np.float64]
 
 
 def _device_directions(sphere: TransferSphere, device: str) -> transfer.Directions:
-    words = sphere.direction.reshape(-1, WORD, 3)
-    used = np.arange(words.shape[0] * WORD).reshape(-1, WORD) < sphere.count
-    center = words.sum(axis=1) / used.sum(axis=1)[:, None]
-    distance = np.linalg.norm(words - center[:, None], axis=-1) * used
-    full = (used.astype(np.uint64) << np.arange(WORD, dtype=np.uint64)).sum(axis=1)
+    used = np.arange(len(sphere.direction)) < sphere.count
+    bits = used.reshape(-1, WORD).astype(np.uint64) << np.arange(WORD, dtype=np.uint64)
+    full = bits.sum(axis=1).astype(np.uint32)
+
+    def cones(size: int) -> tuple[wp.array, wp.array]:
+        inside = used.reshape(-1, size)
+        groups = sphere.direction.reshape(-1, size, 3)
+        center = groups.sum(axis=1) / np.maximum(inside.sum(axis=1), 1)[:, None]
+        distance = np.linalg.norm(groups - center[:, None], axis=-1) * inside
+        reach = (1.0001 * distance.max(axis=1) + 1e-6).astype(np.float32)
+        return vec3(center, device), wp.array(reach, dtype=wp.float32, device=device)
+
     target = transfer.Directions()
     target.direction = vec3(sphere.direction, device)
-    target.word_center = vec3(center, device)
-    reach = (1.0001 * distance.max(axis=1) + 1e-6).astype(np.float32)
-    target.word_reach = wp.array(reach, dtype=wp.float32, device=device)
-    target.word_full = wp.array(full.astype(np.uint32), dtype=wp.uint32, device=device)
+    target.word_center, target.word_reach = cones(WORD)
+    target.byte_center, target.byte_reach = cones(BYTE)
+    target.word_full = wp.array(full, dtype=wp.uint32, device=device)
     return target
 
 

@@ -21,6 +21,9 @@ hidden at once."""
 WORD = 32
 """Directions that share a word of bits."""
 
+BYTE = 8
+"""Directions of a word that are closest together."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TransferSphere:
@@ -97,10 +100,11 @@ def transfer_sphere(rings: int) -> TransferSphere:
 
 
 def _words(index: NDArray[np.int64], found: NDArray[np.float64]) -> list[NDArray[np.int64]]:
-    """Halve the directions along their longest extent until a word holds them."""
-    if len(index) <= WORD:
+    """Halve the directions along their longest extent until words, and bytes, hold them."""
+    if len(index) <= BYTE:
         return [index]
+    size = WORD if len(index) > WORD else BYTE
     axis = int(np.argmax(np.ptp(found[index], axis=0)))
     index = index[np.argsort(found[index, axis], kind="stable")]
-    half = -(-len(index) // (2 * WORD)) * WORD
+    half = -(-len(index) // (2 * size)) * size
     return _words(index[:half], found) + _words(index[half:], found)
