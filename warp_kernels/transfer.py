@@ -187,6 +187,7 @@ def _gather_light_kernel(
     measured: Measured,
     vertices: Vertices,
     flux: wp.array2d[wp.vec4f],
+    moment: wp.array2d[wp.vec4f],
     first: wp.int32,
     # Out:
     change_out: wp.array2d[wp.vec4f],
@@ -205,6 +206,8 @@ def _gather_light_kernel(
         measured: What is seen of them.
         vertices: What is lit.
         flux: Light of each direction [coefficient sr], shape [group_count, 32 word_count].
+        moment: Sum of that over every eight directions, and of its products with x, y and z, shape
+            [group_count, 16 word_count].
         first: The first vertex.
         change_out: To add to the unshadowed integrals [coefficient sr], shape
             [vertex_count, group_count * passes].
@@ -236,7 +239,14 @@ def _gather_light_kernel(
                     middle = wp.dot(normal, directions.byte_center[4 * word + q])
                     reach = directions.byte_reach[4 * word + q]
                     used = (full >> wp.uint32(8 * q)) & wp.uint32(255)
-                    if _matters(part, used, middle, reach, rank, wrap):
+                    if part == used and middle > reach:
+                        at_byte = 4 * (4 * word + q)
+                        total = normal[0] * moment[g, at_byte + 1]
+                        total += normal[1] * moment[g, at_byte + 2]
+                        total += normal[2] * moment[g, at_byte + 3]
+                        lambert -= total
+                        wrapped -= narrow * (total + wrap * moment[g, at_byte])
+                    elif _matters(part, used, middle, reach, rank, wrap):
                         for b in range(8):
                             d = 32 * word + 8 * q + b
                             x = wp.dot(normal, directions.direction[d])
@@ -402,6 +412,7 @@ def gather_light(
     measured: Measured,
     vertices: Vertices,
     flux: wp.array,
+    moment: wp.array,
     change: wp.array,
     begin: int,
     end: int,
@@ -410,7 +421,7 @@ def gather_light(
     wp.launch(
         _gather_light_kernel,
         dim=end - begin,
-        inputs=[lights, materials, directions, measured, vertices, flux, begin],
+        inputs=[lights, materials, directions, measured, vertices, flux, moment, begin],
         outputs=[change],
         device=change.device,
     )

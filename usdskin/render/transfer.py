@@ -277,12 +277,12 @@ def shade_transfers(
     count = len(transfers.material)
     change = wp.zeros((count, columns), dtype=wp.vec4f, device=device)
     lamps = _lamp_sets(sets, device)
-    device_flux = vec4(flux, device)
+    device_flux, moment = vec4(flux, device), vec4(_moments(flux, transfers.sphere), device)
 
     def work(begin: int, end: int) -> None:
         transfer.gather_light(
             field.device_lights, scene.materials, transfers.directions, transfers.measured,
-            transfers.vertices, device_flux, change, begin, end,
+            transfers.vertices, device_flux, moment, change, begin, end,
         )  # fmt: skip
         transfer.gather_lamps(
             scene.geometry, field.device_lights, scene.materials, transfers.measured,
@@ -327,6 +327,14 @@ def project_dome(
     for k in range(channels):
         flux[:, k] = np.bincount(index.ravel(), (share * flat[:, k : k + 1]).ravel(), len(flux))
     return np.ascontiguousarray(flux.reshape(-1, groups, 4).transpose(1, 0, 2).astype(np.float32))
+
+
+def _moments(flux: NDArray[np.float32], sphere: TransferSphere) -> NDArray[np.float64]:
+    """Return the light of every eight directions, and its first moment, [groups, 4 bytes, 4]."""
+    weights = np.insert(sphere.direction.astype(np.float64), 0, 1.0, axis=1)
+    products = np.einsum("gdc,dm->gdmc", flux.astype(np.float64), weights)
+    totals = products.reshape(len(flux), -1, BYTE, 4, 4).sum(axis=2)
+    return np.asarray(totals.reshape(len(flux), -1, 4))
 
 
 def _block_directions(height: int, width: int, step: int) -> NDArray[np.float64]:
