@@ -22,6 +22,7 @@ SCHEMA_NAMES = (
     "SkinMaterialAPI",
     "SkinRenderSettingsAPI",
     "SkinSampleAPI",
+    "SkinTransferAPI",
     "SpectralCameraAPI",
     "SpectralDistributionAPI",
     "SpectralLightAPI",

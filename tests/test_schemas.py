@@ -32,6 +32,7 @@ CAN_ONLY_APPLY_TO = {
     "SkinMaterialAPI": ["Material"],
     "SkinRenderSettingsAPI": ["RenderSettings"],
     "SkinSampleAPI": ["Scope"],
+    "SkinTransferAPI": ["Gprim"],
     "SpectralCameraAPI": ["Camera"],
     "SpectralDistributionAPI": [],
     "SpectralLightAPI": ["LightAPI"],
@@ -248,6 +249,17 @@ ATTRIBUTES: dict[str, dict[str, tuple[str, object]]] = {
         "fit:neededReach": ("double", None),
         "fit:residual": ("double", None),
     },
+    "SkinTransferAPI": {
+        "transfer:file": ("asset", None),
+        "transfer:version": ("int", 1),
+        "transfer:index": ("int", 0),
+        "transfer:rowCount": ("int", 0),
+        "transfer:rings": ("int", 0),
+        "transfer:subdivisionLevel": ("int", 0),
+        "transfer:geometryHash": ("string", None),
+        "transfer:sceneHash": ("string", None),
+        "transfer:reach": ("double[]", None),
+    },
     "SkinRenderSettingsAPI": {
         "usdskin:integrator": ("token", "map"),
         "usdskin:samplesPerPixel": ("int", 4),
@@ -363,9 +375,15 @@ LIMITS = {
     "usdskin:bounces": (0, 1),
     "usdskin:seed": NOT_NEGATIVE,
     "usdskin:subdivisionLevel": (0, 8),
+    "transfer:version": (1, None),
+    "transfer:index": NOT_NEGATIVE,
+    "transfer:rowCount": NOT_NEGATIVE,
+    "transfer:rings": (0, 200),
+    "transfer:subdivisionLevel": (0, 8),
 }
 
 PRIM_TYPES = {
+    "SkinTransferAPI": "Mesh",
     "SpectralLightAPI": "DomeLight",
     "LightEstimateAPI": "DomeLight",
     "SpectralDistributionAPI": "Scope",
@@ -503,10 +521,10 @@ def test_schemas_fit_only_the_prims_they_are_for(stage: Usd.Stage, schema: str) 
     registry = Usd.SchemaRegistry
     allowed = list(registry.GetAPISchemaCanOnlyApplyToTypeNames(schema, ""))
     assert allowed == CAN_ONLY_APPLY_TO[schema]
-    cube = stage.DefinePrim("/Cube", "Cube")
+    other = stage.DefinePrim("/Other", "Shader" if "Gprim" in allowed else "Cube")
     instance = ("one",) if schema in MULTIPLE_APPLY else ()
-    assert bool(cube.CanApplyAPI(schema, *instance)) == (not allowed)
-    assert fits(cube, schema) == (not allowed)
+    assert bool(other.CanApplyAPI(schema, *instance)) == (not allowed)
+    assert fits(other, schema) == (not allowed)
     assert fits(applied(stage, schema), schema)
 
 

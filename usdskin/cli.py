@@ -19,6 +19,7 @@ import click
 
 from usdskin import __version__
 from usdskin.commands import (
+    bake,
     calibrate,
     capture,
     estimate,
@@ -93,6 +94,7 @@ for _command in (
     *capture.COMMANDS,
     *calibrate.COMMANDS,
     *estimate.COMMANDS,
+    *bake.COMMANDS,
     *pictures.COMMANDS,
     *plot.COMMANDS,
     *files.READING,

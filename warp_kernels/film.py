@@ -9,6 +9,8 @@ from usdskin.warp_kernels.lookup import lookup_dome
 from usdskin.warp_kernels.sampling import disk_from_square, hash_pair
 from usdskin.warp_kernels.skin import (
     Point,
+    deposit_transfer,
+    has_transfer,
     reflect_preview_surface,
     reflect_skin,
     shade_emission,
@@ -272,11 +274,17 @@ def _picture_kernel(
                 current = point.material
             if materials.kind[current] == 1:
                 r = reflect_skin(geometry, lights, materials, point, clear)
-                shade_skin(geometry, lights, materials, film, pixel, point, r, 1.0)
+                behind = float(1.0)
+                if has_transfer(geometry, point):
+                    behind = 0.0
+                    deposit_transfer(geometry, lights, materials, film, pixel, point, r)
+                shade_skin(geometry, lights, materials, film, pixel, point, r, behind)
                 shade_gloss(lights, materials, film, pixel, point, r)
             elif opacity > 0.0 or shines_when_clear(materials, current):
                 r = reflect_preview_surface(geometry, lights, materials, point, clear, opacity)
                 shade_preview_surface(lights, materials, film, pixel, point, r)
+                if has_transfer(geometry, point):
+                    deposit_transfer(geometry, lights, materials, film, pixel, point, r)
                 shade_gloss(lights, materials, film, pixel, point, r)
                 shade_emission(geometry, lights, materials, film, pixel, point, r)
             alpha += clear * opacity

@@ -31,6 +31,14 @@ class Geometry:
     prim: wp.array[wp.int32]
     """Prim index, shape [triangle_count]."""
 
+    transfer_vertex: wp.array[wp.int32]
+    """Row of ``transfer`` of each corner, -1 where nothing was measured, shape
+    [3 triangle_count], or [0]."""
+
+    transfer: wp.array2d[wp.vec4f]
+    """What shadows change of the diffuse rows (``usdskin.warp_kernels.transfer``), shape
+    [vertex_count, columns]."""
+
 
 @wp.struct
 class CameraRays:

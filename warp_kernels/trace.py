@@ -289,8 +289,3 @@ def trace_pass(
         outputs=[film],
         device=film.xyza.device,
     )
-
-
-def load(device: str) -> None:
-    """Load this module's kernels, compiled if the cache has none."""
-    wp.load_module(__name__, device)

@@ -34,6 +34,7 @@ from usdskin.prims.samples import (
 from usdskin.prims.settings import SkinRenderSettings, read_render_settings_api
 from usdskin.prims.skin import SkinParameters, read_skin, write_skin
 from usdskin.prims.spectra import read_spectrum, write_spectrum
+from usdskin.prims.transfers import SkinTransfer, read_transfer, write_transfer
 from usdskin.prims.views import Shot, View, read_shot, read_view, write_rotation
 
 __all__ = [
@@ -50,6 +51,7 @@ __all__ = [
     "SkinParameters",
     "SkinRenderSettings",
     "SkinSamples",
+    "SkinTransfer",
     "SpectralCamera",
     "SpectralLight",
     "View",
@@ -70,6 +72,7 @@ __all__ = [
     "read_spectral_camera",
     "read_spectral_light",
     "read_spectrum",
+    "read_transfer",
     "read_view",
     "write_bracket",
     "write_color_chart",
@@ -82,4 +85,5 @@ __all__ = [
     "write_spectral_camera",
     "write_spectral_light",
     "write_spectrum",
+    "write_transfer",
 ]

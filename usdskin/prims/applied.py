@@ -26,6 +26,7 @@ _NAMESPACES = {
     "samples:": "SkinSampleAPI",
     "inputs:spectral:": "SpectralLightAPI",
     "fit:": "SkinMaterialAPI",
+    "transfer:": "SkinTransferAPI",
     "usdskin:": "SkinRenderSettingsAPI",
 }
 _SPECTRUM = "spectrum:"

@@ -354,6 +354,7 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
         _square("fit:covariance"),
         one_per("fit:values", "fit:parameters"),
     ),
+    "SkinTransferAPI": (above("transfer:reach", 0.0),),
     "SkinRenderSettingsAPI": (wavelengths("usdskin:wavelengths", at_least=2),),
 }
 """Rules by schema identifier; names as in ``schema.usda``."""

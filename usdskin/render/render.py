@@ -11,7 +11,7 @@ from pathlib import Path
 
 from usdskin import compilation
 from usdskin.device import Workers, open_workers
-from usdskin.errors import FramesError, UsdSkinError
+from usdskin.errors import FramesError, UsageError, UsdSkinError
 from usdskin.frames import frame_path
 from usdskin.notes import Note
 from usdskin.progress import Progress
@@ -28,6 +28,7 @@ from usdskin.render.products import Product, prepare_folders
 from usdskin.render.scene import Scene, read_scene, scene_white, upload
 from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
 from usdskin.render.traced import Sampling, integrate_traced, sampling_key, trace_lights
+from usdskin.render.transfer import read_transfers, shade_transfers, upload_transfers
 
 # isort: split
 # After ours, which register the schemas.
@@ -107,6 +108,12 @@ def _render_frame(
     show_dome = job.settings.dome == "show"
     traced = job.settings.integrator == "traced"
     brute = job.settings.spectral_method == "brute"
+    transfers = None if traced else read_transfers(stage, scene, job.settings)
+    if brute and transfers is not None:
+        raise UsageError(
+            "--spectral brute takes no baked shadows; leave the transfer layer out, or render "
+            "with --integrator traced."
+        )
     device_scene, light = upload(
         scene,
         workers,
@@ -114,8 +121,13 @@ def _render_frame(
         brute=brute,
         traced=traced,
         bounces=job.settings.bounces,
+        measured=transfers is not None,
     )
     begun = _lap(seconds, "bake", begun)
+    if transfers is not None:
+        shadows = upload_transfers(transfers, workers.device)
+        shade_transfers(shadows, scene.lights, light, device_scene, workers)
+        begun = _lap(seconds, "shadows", begun)
     compilation.finish()
     _lap(seconds, "compile", begun)
     for product, files in wanted:

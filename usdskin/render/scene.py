@@ -85,7 +85,12 @@ class Scene:
 
 
 def read_scene(
-    stage: Usd.Stage, time: Usd.TimeCode, settings: RenderSettings, notes: list[Note]
+    stage: Usd.Stage,
+    time: Usd.TimeCode,
+    settings: RenderSettings,
+    notes: list[Note],
+    *,
+    unlit: bool = False,
 ) -> Scene:
     """Read what a picture shows.
 
@@ -94,21 +99,24 @@ def read_scene(
         time: When.
         settings: Purposes, mask, subdivision level, wavelengths.
         notes: What cannot be shown is appended.
+        unlit: Leave the lights out.
 
     Raises:
         LayerError: Something cannot be used, or nothing gives light.
     """
-    lights = read_lights(
-        stage,
-        time,
-        settings.wavelength_nm,
-        settings.observer,
-        settings.illuminant,
-        settings.bad_pixels,
-        notes,
-        places=settings.integrator == "traced",
-    )
-    check_lit(stage, lights, notes)
+    lights = Lights((), ())
+    if not unlit:
+        lights = read_lights(
+            stage,
+            time,
+            settings.wavelength_nm,
+            settings.observer,
+            settings.illuminant,
+            settings.bad_pixels,
+            notes,
+            places=settings.integrator == "traced",
+        )
+        check_lit(stage, lights, notes)
     cache = UsdGeom.XformCache(time)
     prims, placed = _visible_shapes(stage, time, settings, cache, notes)
     bindings: dict[str, str | None] = {}
@@ -248,6 +256,7 @@ def upload(
     brute: bool = False,
     traced: bool = False,
     bounces: int = 0,
+    measured: bool = False,
 ) -> tuple[DeviceScene, LightField]:
     """Bake the lights, build the material tables and copy the geometry to the device.
 
@@ -257,16 +266,17 @@ def upload(
         show_dome: Whether the camera sees the domes.
         brute: Shade every band from every texel, without factorisation and maps, as the oracle.
         bounces: How often reflected light falls on other surfaces, where light is traced.
-        traced: Whether rays measure the way through bodies and look for reflections.
+        traced: Whether rays look for reflections, and measure the way through bodies.
+        measured: Whether that way was measured before (``usdskin.render.transfer``).
     """
     device = workers.device
     rows = {name: k for k, name in enumerate(sorted(_primvar_names(scene)))}
     thickness = _thickness_range(scene)
-    if traced:
+    if traced or measured:
         thickness = {material.path: np.inf for material in scene.materials}
     with ThreadPoolExecutor(1) as pool:  # beside the lights, which take as long
         uploading = pool.submit(_upload_geometry, scene, rows, device)
-        light = _bake(scene, workers, show_dome, brute, traced)
+        light = _bake(scene, workers, show_dome, brute, traced, measured)
         geometry, mesh, faces = uploading.result()
     surfaces = build_surfaces(
         scene.materials,
@@ -295,7 +305,27 @@ def upload(
     )
 
 
-def _bake(scene: Scene, workers: Workers, show_dome: bool, brute: bool, traced: bool) -> LightField:
+def upload_bodies(
+    scene: Scene, workers: Workers
+) -> tuple[structs.Geometry, structs.Materials, wp.Mesh]:
+    """Copy what light has to pass to the device; the mesh is to be kept as long as the rest."""
+    rows = {name: k for k, name in enumerate(sorted(_primvar_names(scene)))}
+    geometry, mesh, _ = _upload_geometry(scene, rows, workers.device)
+    surfaces = build_surfaces(
+        scene.materials,
+        np.zeros((1, 4, len(scene.frame.wavelength_nm))),
+        scene.frame,
+        wraps_of(scene.materials),
+        rows,
+        {material.path: np.inf for material in scene.materials},
+        workers.device,
+    )
+    return geometry, surfaces.device_materials, mesh
+
+
+def _bake(
+    scene: Scene, workers: Workers, show_dome: bool, brute: bool, traced: bool, measured: bool
+) -> LightField:
     """Return the light at every normal, its reflections, and the domes the camera sees."""
     wraps, bands = wraps_of(scene.materials), len(scene.frame.wavelength_nm)
     lights = scene.lights
@@ -304,7 +334,9 @@ def _bake(scene: Scene, workers: Workers, show_dome: bool, brute: bool, traced: 
         lights = banded(lights)
     else:
         skins = [m for m in scene.materials if isinstance(m, SkinMaterial)]
-        split = any(m.thickness_primvar or (traced and dims(m.parameters)) for m in skins)
+        split = any(
+            m.thickness_primvar or ((traced or measured) and dims(m.parameters)) for m in skins
+        )
         local = None
         if traced:
             local = build_local_field(lights.locals, bands, workers.device, far_groups(lights))

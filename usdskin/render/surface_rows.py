@@ -279,8 +279,7 @@ def _passage(
     """Factorise exp(-s delta) over the thicknesses in use, by its singular values."""
     skin = material.parameters
     largest = thickness_range.get(material.path, 0.0)
-    clearest = float(opacity.min())
-    limit = -np.log(LEAST_CLEAR) / clearest if clearest > 0.0 else NO_LIMIT
+    limit = _limit(opacity)
     if largest <= 0.0:
         return Passage(np.ones((1, 1)), np.exp(-skin.thickness * opacity)[None], 1.0, 0.0, limit)
     scale = 1.0 / float(np.median(opacity[opacity > 0.0]))
@@ -293,6 +292,19 @@ def _passage(
         if np.abs(table @ right[:rank] - exact).max() < PASSAGE_TOLERANCE:
             break
     return Passage(table, right[:rank], scale, last, limit)
+
+
+def _limit(opacity: FloatArray) -> float:
+    clearest = float(opacity.min())
+    return -float(np.log(LEAST_CLEAR)) / clearest if clearest > 0.0 else NO_LIMIT
+
+
+def body_reach(material: SkinMaterial | SurfaceMaterial, nm: FloatArray) -> float:
+    """Return the way light is followed through a body [m]; 0 where it is clear or no skin."""
+    if not isinstance(material, SkinMaterial):
+        return 0.0
+    opacity = _values(material.parameters.opacity, nm, 0.0)
+    return _limit(opacity) if opacity.max(initial=0.0) > 0.0 else 0.0
 
 
 def preview_rows(
