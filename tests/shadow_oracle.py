@@ -180,3 +180,33 @@ def shadowed(
     delta = np.broadcast_to(np.asarray(body.delta, float), (bands,))
     weight = (kernel * share * angle)[:, None] * np.exp(-length[:, None] * delta)
     return body.alpha / np.pi * (weight * radiance.reshape(-1, bands)[texel]).sum(axis=0)
+
+
+def lustre(
+    surface: Surface, view: FloatArray, radiance: FloatArray, roughness: float, f0: float, parts: int
+) -> FloatArray:
+    """Return what one GGX lobe (alpha = roughness^2, Smith, Schlick) reflects of a clear dome.
+
+    Walter et al. 2007 with the height-correlated masking of Heitz 2014, by quadrature over the
+    texels; shape [bands].
+    """
+    height, width, bands = radiance.shape
+    parts_of = np.full(height * width, parts)
+    directions, texel, angle = dome_directions(
+        height, width, parts_of, np.random.default_rng(0)
+    )
+    n, alpha = surface.normal, roughness**2
+    is_above = directions @ n > 0.0
+    directions, texel, angle = directions[is_above], texel[is_above], angle[is_above]
+    half = directions + view
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    nl, nv, nh, vh = directions @ n, float(view @ n), half @ n, half @ view
+    facets = alpha**2 / np.pi / (nh**2 * (alpha**2 - 1.0) + 1.0) ** 2
+
+    def hidden(cosine: FloatArray | float) -> FloatArray:
+        return (np.sqrt(1.0 + alpha**2 * (1.0 / np.square(cosine) - 1.0)) - 1.0) / 2.0
+
+    masking = 1.0 / (1.0 + hidden(nl) + hidden(nv))
+    fresnel = f0 + (1.0 - f0) * (1.0 - vh) ** 5
+    weight = facets * masking * fresnel / (4.0 * nv) * angle
+    return weight @ radiance.reshape(-1, bands)[texel]
