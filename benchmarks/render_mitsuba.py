@@ -101,7 +101,7 @@ def _body(mesh: str, is_spectral: bool) -> Any:
         color = {"type": "rgb", "value": scene.reflectance_rgb().tolist()}
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": color})
-    points, normals, faces = scene.body(scene.MESH_ROWS[mesh])
+    points, normals, faces = scene.shape(mesh)
     shape = mi.Mesh("body", len(points), len(faces), props=properties, has_vertex_normals=True)
     parameters = mi.traverse(shape)
     parameters["vertex_positions"] = mi.Float(points.astype(np.float32).ravel())
