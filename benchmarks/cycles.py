@@ -38,8 +38,10 @@ def cycles_rows(bench: Bench, size: int) -> list[Row]:
                "picture": str(bench.folder / f"{name}.npy")}  # fmt: skip
         path = bench.folder / "cycles.json"
         path.write_text(json.dumps(job))
-        child = run([python, str(ROOT / "benchmarks" / "render_cycles.py"), str(path)])
-        result = {**json.loads(child.output.splitlines()[-1]), "peak_mb": child.peak_mb}
+        # Without -P this folder, with a module of the same name as the addon, would come first.
+        child = run([python, "-P", str(ROOT / "benchmarks" / "render_cycles.py"), str(path)])
+        told = [line for line in child.output.splitlines() if line.startswith("{")][-1]
+        result = {**json.loads(told), "peak_mb": child.peak_mb}
         bench.raw[name] = result
         seen = bench.picture(name)[:, skin, :3].astype(np.float64)
         noise = float(np.sqrt(seen.var(axis=0, ddof=1).mean()) / seen.mean())

@@ -46,7 +46,8 @@ def section(bench: Bench, device: str) -> Section:
     roof = max(least_moved / found["bandwidth"], work / found["flops"])
     rows = [
         Row("the camera moves", f"{1.0 / camera:.1f} /s", f"{camera * 1e3:.2f} ms"),
-        Row("the light turns, its maps made anew", f"{1.0 / light:.1f} /s", f"{light * 1e3:.1f} ms"),
+        Row("the light turns, its maps made anew", f"{1.0 / light:.1f} /s",
+            f"{light * 1e3:.1f} ms"),
         Row("copying memory, this device's best", f"{found['bandwidth'] / 1e9:.0f} GB/s"),
         Row("multiplying and adding, its best", f"{found['flops'] / 1e12:.2f} TFLOP/s"),
         Row("bytes per pixel, all of them; that reach memory at least", f"{moved / pixels:.0f}",
@@ -58,5 +59,5 @@ def section(bench: Bench, device: str) -> Section:
         Row("share of the roofline reached, camera", f"{roof / camera:.1%}"),
     ]  # fmt: skip
     columns = ("", "this", "other", "", "")
-    title = f"Map integrator on {device}, {width} x {height}, {SUBPIXELS} subpixels, 61 bands to XYZ"
+    title = f"Map integrator on {device}, {width} x {height}, {SUBPIXELS} subpixels, 61 bands"
     return Section(title, columns, rows)

@@ -106,19 +106,21 @@ def band_noise(spectra: NDArray) -> float:
 
 
 def crossing(
-    run: Callable[[float], Found], target: float, first: float, least: float, most: float
+    run: Callable[[float], Found],
+    target: float,
+    first: float,
+    snap: Callable[[float], float],
 ) -> Crossing:
     """Find the time at which the error is ``target``.
 
     Args:
-        run: Renders with an effort; it may round it.
+        run: Renders with an effort.
         target: Wanted error.
         first: Effort to begin with.
-        least: Smallest effort there is.
-        most: Largest effort that is tried.
+        snap: Returns the nearest effort there is.
     """
     runs: list[Found] = []
-    effort = first
+    effort = snap(first)
     for _ in range(RUNS):
         found = run(effort)
         runs.append(found)
@@ -127,7 +129,7 @@ def crossing(
         power = _power(runs, target)
         near = _nearest(runs, target)[0]
         step = (near.error / target) ** (1.0 / power)
-        effort = min(max(near.effort * min(max(step, 1.0 / 32.0), 32.0), least), most)
+        effort = snap(near.effort * min(max(step, 1.0 / 32.0), 32.0))
         if any(abs(effort / other.effort - 1.0) < 0.02 for other in runs):
             break
     near = _nearest(runs, target)[0]

@@ -48,7 +48,12 @@ def rows(bench: Bench, mesh: str, size: int, frames: int, truth: Reference) -> l
                      size, frames)  # fmt: skip
         bench.raw[f"turn {what} ours"] = ours
         theirs = bench.peer(
-            f"turn {what} Mitsuba", mesh, size, "llvm_ad_spectral", repeats=frames, turn=what,
+            f"turn {what} Mitsuba",
+            mesh,
+            size,
+            "llvm_ad_spectral",
+            repeats=frames,
+            turn=what,
             whole=True,
         )
         other = theirs["load"] + sum(lap["pixels"] for lap in theirs["laps"])
