@@ -69,8 +69,7 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
         if job["spectral"]:
             bands_file = job["picture"].replace(".npy", ".bands.npy")
             np.save(bands_file, read_spectral(_spectral(out))[1])
-    notes = sorted({note.code for note in report.notes})
-    return {"first": laps[0], "laps": laps[1:] or laps, "notes": notes}
+    return {"first": laps[0], "laps": laps[1:] or laps}
 
 
 def _spectral(out: Path) -> Path:
