@@ -46,6 +46,7 @@ class Bench:
 
     def ours(self, name: str, stage: Path, size: int, spectral: bool, **job: Any) -> Any:
         """Measure us; the picture goes to ``<name>.npy``."""
+        given = {"samples": SUBPIXELS, "repeats": 3 * self.repeats}
         return self._keep(
             name,
             run_job(
@@ -56,10 +57,8 @@ class Bench:
                 out=str(self.folder / "picture.exr"),
                 picture=str(self.folder / f"{name}.npy"),
                 size=size,
-                samples=SUBPIXELS,
                 spectral=spectral,
-                repeats=3 * self.repeats,
-                **job,
+                **{**given, **job},
             ),
         )
 

@@ -60,7 +60,8 @@ def run_job(module: str, folder: Path, **job: Any) -> dict[str, Any]:
     path = folder / "job.json"
     path.write_text(json.dumps(job))
     child = run([sys.executable, "-m", f"benchmarks.{module}", str(path)])
-    return {**json.loads(child.output.splitlines()[-1]), "peak_mb": child.peak_mb}
+    result = [line for line in child.output.splitlines() if line.startswith("{")][-1]
+    return {**json.loads(result), "peak_mb": child.peak_mb}
 
 
 def middle(result: dict[str, Any], what: str) -> float:

@@ -23,7 +23,11 @@ from benchmarks import scene
 
 
 def run(job: dict[str, Any]) -> dict[str, Any]:
-    """Render ``repeats`` + 1 times, a seed each; the first time, kernels are compiled."""
+    """Render ``repeats`` + 1 times, a seed each; the first time, kernels are compiled.
+
+    Saves the middle quarters of the pictures, or where the job says ``whole`` all of them.
+    ``turn`` in the job has the room (``light``) or the camera go once around in as many pictures.
+    """
     import mitsuba as mi
 
     mi.set_variant(job["variant"])
@@ -33,15 +37,32 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     laps: list[dict[str, float]] = []
     pictures = []
     for seed in range(job["repeats"] + 1):
+        if job.get("turn"):
+            _turn(loaded, job["turn"], max(seed - 1, 0) / job["repeats"])
         before, begun = resource.getrusage(resource.RUSAGE_SELF), time.perf_counter()
         picture = np.array(mi.render(loaded, seed=job.get("first_seed", 0) + seed))
         wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_SELF)
         cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         laps.append({"pixels": wall, "wall": wall, "cpu": cpu})
-        pictures.append(scene.crop(picture))
+        pictures.append(picture if job.get("whole") else scene.crop(picture))
     if job["picture"] is not None:
         np.save(job["picture"], np.stack(pictures))
     return {"load": load, "first": laps[0], "laps": laps[1:] or laps}
+
+
+def _turn(loaded: Any, what: str, share: float) -> None:
+    """Turn the room or the camera about the body's upright axis by a share of a full turn."""
+    import mitsuba as mi
+
+    parameters = mi.traverse(loaded)
+    turn = mi.ScalarTransform4f().rotate([0, 1, 0], 360.0 * share)
+    if what == "camera":
+        turn = turn @ mi.ScalarTransform4f().look_at(
+            [0, 0, scene.CAMERA_DISTANCE], [0, 0, 0], [0, 1, 0]
+        )
+    name = {"light": "light.to_world", "camera": "sensor.to_world"}[what]
+    parameters[name] = mi.Transform4f(turn.matrix)
+    parameters.update()
 
 
 def _scene(job: dict[str, Any]) -> dict[str, Any]:
@@ -101,7 +122,7 @@ def _body(mesh: str, is_spectral: bool) -> Any:
         color = {"type": "rgb", "value": scene.reflectance_rgb().tolist()}
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": color})
-    points, normals, faces = scene.body(scene.MESH_ROWS[mesh])
+    points, normals, faces = scene.shape(mesh)
     shape = mi.Mesh("body", len(points), len(faces), props=properties, has_vertex_normals=True)
     parameters = mi.traverse(shape)
     parameters["vertex_positions"] = mi.Float(points.astype(np.float32).ravel())

@@ -16,9 +16,15 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import scene
+
 
 def run(job: dict[str, Any]) -> dict[str, Any]:
-    """Render ``repeats`` + 1 times; the first time, kernels are loaded."""
+    """Render ``repeats`` + 1 times; the first time, kernels are loaded.
+
+    ``seeds`` in the job asks for a seed each, and for all pictures with their alpha, of spectra the
+    middle quarter; else the last picture is saved.
+    """
     from usdskin.images import read_image, read_spectral
     from usdskin.progress import SilentProgress
     from usdskin.render.overrides import RenderOverrides
@@ -26,18 +32,23 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
 
     stage, out = Path(job["stage"]), Path(job["out"])
     bands = job.get("bands_nm")
-    asked = RenderOverrides(
-        resolution=(job["size"], job["size"]),
-        samples=job["samples"],
-        pixel_filter="box",
-        spectral_output=job["spectral"],
-        wavelength_nm=None if bands is None else np.array(bands, float),
-        png=False,
-        aovs=["none"],
-        compression="none",
-    )
     laps: list[dict[str, float]] = []
-    for _ in range(job["repeats"] + 1):
+    pictures, spectra = [], []
+    for seed in range(job["repeats"] + 1):
+        asked = RenderOverrides(
+            resolution=(job["size"], job["size"]),
+            samples=job["samples"],
+            integrator=job.get("integrator"),
+            target_error=job.get("target_error"),
+            seed=seed if job.get("seeds") else None,
+            pixel_filter="box",
+            spectral_output=job["spectral"],
+            wavelength_nm=None if bands is None else np.array(bands, float),
+            threads=job.get("threads"),
+            png=False,
+            aovs=["none"],
+            compression="none",
+        )
         before, begun = resource.getrusage(resource.RUSAGE_SELF), time.perf_counter()
         report = render_stage(stage, out, asked, SilentProgress())
         wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_SELF)
@@ -45,11 +56,24 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
         seconds = report.seconds
         laps.append({**seconds, "pixels": seconds["bake"] + seconds["render"]})
         laps[-1] |= {"wall": wall, "cpu": cpu}
-    np.save(job["picture"], read_image(out).pixels[..., :3])
-    if job["spectral"]:
-        spectral = out.with_name(out.stem + ".spectral.exr")
-        np.save(job["picture"].replace(".npy", ".bands.npy"), read_spectral(spectral)[1])
+        if job.get("seeds"):
+            pictures.append(read_image(out).pixels[..., :4])
+            if job["spectral"]:
+                spectra.append(scene.crop(read_spectral(_spectral(out))[1]))
+    if job.get("seeds"):
+        np.save(job["picture"], np.stack(pictures))
+        if spectra:
+            np.save(job["picture"].replace(".npy", ".bands.npy"), np.stack(spectra))
+    else:
+        np.save(job["picture"], read_image(out).pixels[..., :3])
+        if job["spectral"]:
+            bands_file = job["picture"].replace(".npy", ".bands.npy")
+            np.save(bands_file, read_spectral(_spectral(out))[1])
     return {"first": laps[0], "laps": laps[1:] or laps}
+
+
+def _spectral(out: Path) -> Path:
+    return out.with_name(out.stem + ".spectral.exr")
 
 
 def normals(job: dict[str, Any]) -> dict[str, Any]:

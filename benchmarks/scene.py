@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.head import head
+
 FloatArray = NDArray[np.float64]
 
 BANDS_NM = np.arange(400.0, 701.0, 5.0)
@@ -20,8 +22,21 @@ CAMERA_DISTANCE = 3.6
 MAP_ROWS = 512
 KEY_DIAMETER_DEG = 3.0
 KEY_RADIANCE = 900.0
-MESH_ROWS = {"50k": 112, "500k": 354}
-"""Rows of the grid on the body: 4 rows^2 triangles, 50 176 and 501 264."""
+MESH_ROWS = {"5k": 35, "15k": 61, "50k": 112, "150k": 194, "500k": 354}
+"""Rows of the grid on a body: 4 rows^2 triangles, such as 50 176 and 501 264."""
+
+
+OPAQUE = 1.0e6
+"""delta [1/m] of a skin that lets nothing through."""
+
+
+def shape(mesh: str) -> tuple[FloatArray, FloatArray, NDArray[np.int32]]:
+    """Return points, unit normals and triangles of a mesh by its name.
+
+    ``50k`` is the convex body and ``head 50k`` the head; see ``MESH_ROWS`` for the sizes.
+    """
+    kind, _, size = mesh.rpartition(" ")
+    return head(MESH_ROWS[size]) if kind == "head" else body(MESH_ROWS[size])
 
 
 def body(rows: int) -> tuple[FloatArray, FloatArray, NDArray[np.int32]]:
@@ -102,14 +117,21 @@ def crop(picture: NDArray) -> NDArray:
     return picture[height // 4 : -(height // 4), width // 4 : -(width // 4)]
 
 
-def write_stage(folder: Path, mesh: str, wrap: float = 0.0, scattering: float = 0.0) -> Path:
+def write_stage(
+    folder: Path,
+    mesh: str,
+    wrap: float = 0.0,
+    scattering: float = 0.0,
+    opacity: float = 0.0,
+) -> Path:
     """Write the scene as USD for us.
 
     Args:
         folder: Where to; the light map is shared by all stages in it.
-        mesh: Key of ``MESH_ROWS``.
+        mesh: Name of a mesh (``shape``).
         wrap: l of the skin; the comparison with Mitsuba has 0.
         scattering: Ss of the skin; the comparison with Mitsuba has 0.
+        opacity: delta of the skin [1/m]; ``OPAQUE`` throws the shadows Mitsuba's bodies throw.
     """
     import usdskin.schemas  # noqa: F401  (registers before the first stage)
     from usdskin.image_output import Part, write_exr
@@ -121,11 +143,11 @@ def write_stage(folder: Path, mesh: str, wrap: float = 0.0, scattering: float = 
     if not light.exists():
         pixels = environment()[..., None].repeat(3, axis=-1)
         write_exr(light, [Part("rgb", {"": pixels}, color_space="lin_rec709_scene")])
-    path = folder / f"body-{mesh}-{wrap:g}-{scattering:g}.usdc"
+    path = folder / f"body-{mesh.replace(' ', '-')}-{wrap:g}-{scattering:g}-{opacity:g}.usdc"
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, "Y")
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    points, normals, faces = body(MESH_ROWS[mesh])
+    points, normals, faces = shape(mesh)
     prim = UsdGeom.Mesh.Define(stage, "/Body")
     prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)))
     prim.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals.astype(np.float32)))
@@ -137,6 +159,7 @@ def write_stage(folder: Path, mesh: str, wrap: float = 0.0, scattering: float = 
     UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(skin)
     skin.GetPrim().ApplyAPI("SkinMaterialAPI")
     skin.GetPrim().GetAttribute("inputs:skin:wrap").Set(wrap)
+    skin.GetPrim().GetAttribute("inputs:skin:opacity").Set(opacity)
     for name, values in (
         ("reflectance", reflectance()),
         ("scattering", np.full(len(BANDS_NM), scattering)),
