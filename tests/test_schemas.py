@@ -253,6 +253,7 @@ ATTRIBUTES: dict[str, dict[str, tuple[str, object]]] = {
         "usdskin:samplesPerPixel": ("int", 4),
         "usdskin:targetError": ("float", 0.0),
         "usdskin:bounces": ("int", 0),
+        "usdskin:motionSamples": ("int", 0),
         "usdskin:seed": ("int", 0),
         "usdskin:wavelengths": ("double[]", tuple(range(400, 701, 5))),
         "usdskin:observer": ("token", "cie1931_2"),
@@ -361,6 +362,7 @@ LIMITS = {
     "usdskin:samplesPerPixel": (1, None),
     "usdskin:targetError": NOT_NEGATIVE,
     "usdskin:bounces": (0, 1),
+    "usdskin:motionSamples": (0, 256),
     "usdskin:seed": NOT_NEGATIVE,
     "usdskin:subdivisionLevel": (0, 8),
 }

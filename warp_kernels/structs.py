@@ -236,6 +236,12 @@ class Film:
     sample: wp.array[wp.vec2f]
     """Sample offsets from the pixel's middle [px], warped by the pixel filter, shape [samples]."""
 
+    first_sample: wp.int32
+    """Index of the first of these samples among all of the pixel's."""
+
+    sample_count: wp.int32
+    """Samples of the whole picture where these are part of them, else 0."""
+
     first_pixel: wp.int32
     """Pixel the tile starts at, row-major."""
 

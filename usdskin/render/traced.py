@@ -24,8 +24,10 @@ from usdskin.render.film import sample_offsets
 from usdskin.render.integrate import (
     GPU_TILE_PIXELS,
     TILE_PIXELS,
+    WHOLE,
     DeviceScene,
     Picture,
+    Share,
     device_camera,
 )
 from usdskin.render.light_maps import LightField, luminances
@@ -70,6 +72,9 @@ class Sampling:
     pixel_filter: str
     key: int
     """Of the seed and the frame."""
+
+    share: Share = WHOLE
+    """Which of the samples to take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,8 +208,11 @@ def integrate_traced(
     spectrum = None
     if spectral:
         spectrum = result["spectrum"].reshape(height, width, -1)[:, :, : scene.band_count]
-    extra = _extra(result, xyza, (height, width)) if parts else {}
-    return Picture(xyza, spectrum, extra)
+    if not parts:
+        return Picture(xyza, spectrum)
+    tally = result["tally"].reshape(height, width, 4)
+    unshadowed = tally[:, :, 1] / np.maximum(tally[:, :, 3], 1.0)
+    return Picture(xyza, spectrum, _extra(result, xyza, (height, width)), unshadowed)
 
 
 def _tile_rows(width: int, height: int, pixels: int) -> int:
@@ -215,20 +223,26 @@ def _tile_rows(width: int, height: int, pixels: int) -> int:
 
 def _passes(settings: Sampling, device: str) -> list[_Pass]:
     """Return the passes: the first samples in two halves, and then as many as there are before."""
-    first = min(settings.samples, FIRST_SAMPLES)
-    offsets = sample_offsets(first, settings.pixel_filter)
+    samples, begin = settings.share.size(settings.samples), settings.share.first(settings.samples)
+    first = min(samples, FIRST_SAMPLES)
+    moved = 16 * settings.share.index  # more than there are passes
+    offsets = sample_offsets(first, settings.pixel_filter, _shift(moved))
     found = [(0, offsets[0::2]), ((first + 1) // 2, offsets[1::2])]
     taken = first
-    while taken < settings.samples:
-        more = min(taken, settings.samples - taken)
-        shift = (0.754877666 * len(found) % 1.0, 0.569840290 * len(found) % 1.0)
+    while taken < samples:
+        more = min(taken, samples - taken)
+        shift = _shift(moved + len(found))
         found.append((taken, sample_offsets(more, settings.pixel_filter, shift)))
         taken += more
     return [
-        _Pass(begin, wp.array(np.ascontiguousarray(at), dtype=wp.vec2f, device=device))
-        for begin, at in found
+        _Pass(begin + at_sample, wp.array(np.ascontiguousarray(at), dtype=wp.vec2f, device=device))
+        for at_sample, at in found
         if len(at)
     ]
+
+
+def _shift(number: int) -> tuple[float, float]:
+    return 0.754877666 * number % 1.0, 0.569840290 * number % 1.0
 
 
 class _Tile:
