@@ -31,6 +31,10 @@ class Geometry:
     prim: wp.array[wp.int32]
     """Prim index, shape [triangle_count]."""
 
+    sheet: wp.array[wp.int32]
+    """1 where a prim's skin is a sheet with a thickness, which has no inside, else 0, shape
+    [prim_count]."""
+
 
 @wp.struct
 class CameraRays:
