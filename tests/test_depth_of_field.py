@@ -44,7 +44,8 @@ def Mesh "Plane"
     uniform token subdivisionScheme = "none"
     int[] faceVertexCounts = [4]
     int[] faceVertexIndices = [0, 1, 2, 3]
-    point3f[] points = [({-side}, {-side}, 0), (0, {-side}, 0), (0, {side}, 0), ({-side}, {side}, 0)]
+    point3f[] points = [({-side}, {-side}, 0), (0, {-side}, 0), (0, {side}, 0),
+        ({-side}, {side}, 0)]
     double3 xformOp:translate = (0, 0, {-distance * length})
     uniform token[] xformOpOrder = ["xformOp:translate"]
 }}
