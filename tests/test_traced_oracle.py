@@ -135,9 +135,7 @@ def test_few_samples_have_no_bias_and_more_converge_faster_than_at_random(tmp_pa
     counts = np.array([16, 64, 256, 1024])
     errors = []
     for count in counts:
-        found = np.array(
-            [view.probe(each[0], each[1], int(count), seed=7) for each in chosen]
-        )
+        found = np.array([view.probe(each[0], each[1], int(count), seed=7) for each in chosen])
         spread = found.var(axis=1, ddof=1).mean()
         errors.append(np.sqrt(spread))
         bias = found.mean(axis=(0, 1)) / exact.mean(axis=0) - 1.0

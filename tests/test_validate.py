@@ -342,7 +342,9 @@ def test_an_open_mesh_of_opaque_skin_needs_a_thickness(shot: Shot) -> None:
     open_the_mesh(shot)
     assert shot.findings() == []
     shot.skin.GetAttribute("inputs:skin:opacity").Set(300.0)
-    assert shot.codes() == [("warning", "open-mesh", "/World/Head")]
+    (found,) = shot.findings()
+    assert (found.severity, found.code, found.path) == ("warning", "open-mesh", "/World/Head")
+    assert "(4 open edges)" in found.message
     shot.skin.GetAttribute("inputs:skin:thickness").Set(0.002)
     assert shot.findings() == []
 

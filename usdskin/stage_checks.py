@@ -16,7 +16,7 @@ from usdskin.errors import ImageError, UsdSkinError
 from usdskin.findings import Finding, finding
 from usdskin.prims import SkinParameters, SpectralLight, read_skin, read_spectral_light
 from usdskin.render.materials import THICKNESS_PRIMVAR
-from usdskin.render.polygons import is_closed
+from usdskin.render.polygons import is_closed, open_edge_count
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM, Spectrum
 
 _FIRST = Usd.TimeCode.EarliestTime()
@@ -241,12 +241,17 @@ def _check_mesh(prim: Usd.Prim) -> Iterator[Finding]:
     if bad.size:
         text = f"is not finite at index {bad[0]}; correct the {bad.size} points that are not"
         yield finding("error", prim, "not-finite", text, "points")
-    holes = mesh.GetHoleIndicesAttr().Get(_FIRST)
-    if holes or not is_closed(np.array(counts, np.intp), np.array(indices, np.intp), points):
+    face_counts, corners = np.array(counts, np.intp), np.array(indices, np.intp)
+    holes = np.array(mesh.GetHoleIndicesAttr().Get(_FIRST) or [], np.intp)
+    shown = ~np.isin(np.arange(len(face_counts)), holes)
+    corners, face_counts = corners[np.repeat(shown, face_counts)], face_counts[shown]
+    if not is_closed(face_counts, corners, points):
+        open_edges = open_edge_count(face_counts, corners, points)
         for material in _open_skins(mesh):
             text = (
-                f"is not closed, so it has no inside for the opacity of <{material}>; author "
-                f"primvars:{THICKNESS_PRIMVAR} on it or inputs:skin:thickness on the material [m]"
+                f"is not closed ({open_edges} open edges), so it has no inside for the opacity of "
+                f"<{material}>; author primvars:{THICKNESS_PRIMVAR} on it or "
+                "inputs:skin:thickness on the material [m]"
             )
             yield finding("warning", prim, "open-mesh", text)
 

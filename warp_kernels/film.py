@@ -224,14 +224,14 @@ def _picture_kernel(
     current = int(-1)
     alpha = float(0.0)
     rasterized = film.face.shape[0] > 0
-    sharpness = 1.0 / wp.sqrt(wp.float32(samples))
+    sharpness = 1.0 / wp.sqrt(wp.float32(wp.max(samples, film.sample_count)))
     for s in range(samples):
         offset = film.sample[s]
         ray = camera_ray(
             camera,
             wp.float32(column) + 0.5 + offset[0],
             wp.float32(row) + 0.5 + offset[1],
-            lens_sample(index, s),
+            lens_sample(index, film.first_sample + s),
         )
         ray.spread = ray.spread * sharpness
         ray.width = ray.width * sharpness

@@ -39,6 +39,10 @@ class Geometry:
     """What shadows change of the diffuse rows (``usdskin.warp_kernels.transfer``), shape
     [vertex_count, columns]."""
 
+    sheet: wp.array[wp.int32]
+    """1 where a prim's skin is a sheet with a thickness, which has no inside, else 0, shape
+    [prim_count]."""
+
 
 @wp.struct
 class CameraRays:
@@ -243,6 +247,12 @@ class Film:
 
     sample: wp.array[wp.vec2f]
     """Sample offsets from the pixel's middle [px], warped by the pixel filter, shape [samples]."""
+
+    first_sample: wp.int32
+    """Index of the first of these samples among all of the pixel's."""
+
+    sample_count: wp.int32
+    """Samples of the whole picture where these are part of them, else 0."""
 
     first_pixel: wp.int32
     """Pixel the tile starts at, row-major."""

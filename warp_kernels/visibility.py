@@ -10,7 +10,7 @@ import warp as wp
 
 from usdskin.warp_kernels.light_links import LightLinks, shades
 from usdskin.warp_kernels.skin import Point, read_input
-from usdskin.warp_kernels.structs import INPUT_OPACITY, Geometry, Materials
+from usdskin.warp_kernels.structs import INPUT_OPACITY, INPUT_THICKNESS, Geometry, Materials
 
 wp.set_module_options({"enable_backward": False})
 
@@ -51,12 +51,26 @@ def _opacity_at(
     if materials.slot[material, INPUT_OPACITY] < 0:
         if materials.constant[material, INPUT_OPACITY][0] >= 1.0:
             return 1.0
+    return surface_opacity(geometry, materials, _point_at(geometry, face, u, v))
+
+
+@wp.func
+def _thickness_at(
+    geometry: Geometry, materials: Materials, face: wp.int32, u: wp.float32, v: wp.float32
+) -> wp.float32:
+    """Return how thick a sheet is [m]."""
+    point = _point_at(geometry, face, u, v)
+    return wp.max(read_input(geometry, materials, point, INPUT_THICKNESS)[0], 0.0)
+
+
+@wp.func
+def _point_at(geometry: Geometry, face: wp.int32, u: wp.float32, v: wp.float32) -> Point:
     point = Point()
-    point.material = material
+    point.material = geometry.material[face]
     point.corner = 3 * face
     point.barycentric = wp.vec3f(u, v, 1.0 - u - v)
     point.triangle_area = 1.0
-    return surface_opacity(geometry, materials, point)
+    return point
 
 
 @wp.struct
@@ -120,7 +134,8 @@ def cross_bodies(
     """Follow light backwards from a point to its source.
 
     Crossings of the own body enter and leave it in turn; light from behind the surface begins
-    inside. Light that enters and never leaves, as in a mesh that is not closed, is blocked.
+    inside. Light that enters and never leaves, as in a mesh that is not closed, is blocked. Where
+    such a mesh says how thick it is, it is a sheet, and every crossing adds its thickness.
 
     Args:
         geometry: The scene.
@@ -143,9 +158,10 @@ def cross_bodies(
     entered = float(-1.0)
     side = float(1.0)
     if behind and own >= 0:
-        side = -1.0
-        if limit > 0.0:
-            entered = 0.0
+        if geometry.sheet[own] == 0:
+            side = -1.0
+            if limit > 0.0:
+                entered = 0.0
     begin = origin.position + (side * origin.gap) * origin.normal
     start = float(0.0)
     last = int(-1)
@@ -176,14 +192,16 @@ def cross_bodies(
                 inside = materials.kind[geometry.material[hit.face]] == 1
             if inside:
                 if limit > 0.0:
-                    if entered < 0.0:
+                    if geometry.sheet[own] != 0:
+                        result.length += _thickness_at(geometry, materials, hit.face, hit.u, hit.v)
+                    elif entered < 0.0:
                         entered = t
                     else:
                         result.length += t - entered
                         entered = -1.0
-                        if result.length >= limit:
-                            result.clear = 0.0
-                            return result
+                    if result.length >= limit:
+                        result.clear = 0.0
+                        return result
             elif light < 0 or shades(links, geometry.prim[hit.face], light):
                 opacity = _opacity_at(geometry, materials, hit.face, hit.u, hit.v)
                 result.clear = result.clear * (1.0 - opacity)

@@ -18,6 +18,7 @@ _FIELDS = {
     "seed": "usdskin:seed",
     "wavelength_nm": "usdskin:wavelengths",
     "bounces": "usdskin:bounces",
+    "motion_samples": "usdskin:motionSamples",
     "observer": "usdskin:observer",
     "subdivision_level": "usdskin:subdivisionLevel",
     "spectral_output": "usdskin:spectralOutput",
@@ -41,6 +42,9 @@ class SkinRenderSettings:
 
     bounces: int
     """How often reflected light falls on other surfaces, 0 or 1."""
+
+    motion_samples: int
+    """Moments of a picture with motion blur [1]; 0 chooses."""
 
     seed: int
     """Seed of the random numbers."""

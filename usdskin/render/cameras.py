@@ -110,6 +110,7 @@ def read_camera(
     pixel_aspect_ratio: float = 1.0,
     conform_policy: str = "expandAperture",
     notes: list[Note] | None = None,
+    depth_of_field: bool = True,
 ) -> Camera:
     """Return a camera as it sees one picture.
 
@@ -122,6 +123,7 @@ def read_camera(
         conform_policy: What gives way where aperture and picture differ in aspect
             (``aspectRatioConformPolicy``).
         notes: Takes what the picture will not show: depth of field, clipping planes, scale.
+        depth_of_field: Whether the lens has an opening; all is sharp otherwise.
 
     Raises:
         LayerError: No camera there, or a value of it that gives no picture.
@@ -148,7 +150,8 @@ def read_camera(
     y = _finite(camera.GetVerticalApertureOffsetAttr(), time)
     edges = (x - 0.5 * width, x + 0.5 * width, y - 0.5 * height, y + 0.5 * height)
     near, far = _clipping_range(camera, time, orthographic)
-    lens_radius, focus = _thin_lens(camera, time, orthographic, meters_per_unit, notes)
+    pinhole = orthographic or not depth_of_field
+    lens_radius, focus = _thin_lens(camera, time, pinhole, meters_per_unit, notes)
     _note_what_is_ignored(camera, time, notes)
     return Camera(
         path=str(prim.GetPath()),
@@ -167,7 +170,7 @@ def read_camera(
 def _thin_lens(
     camera: UsdGeom.Camera,
     time: Usd.TimeCode,
-    orthographic: bool,
+    pinhole: bool,
     meters_per_unit: float,
     notes: list[Note],
 ) -> tuple[float, float]:
@@ -176,7 +179,7 @@ def _thin_lens(
     The aperture's diameter is the focal length over fStop; fStop 0 turns depth of field off.
     """
     f_stop = _finite(camera.GetFStopAttr(), time)
-    if f_stop <= 0.0 or orthographic:
+    if f_stop <= 0.0 or pinhole:
         return 0.0, 1.0
     focus = _finite(camera.GetFocusDistanceAttr(), time) * meters_per_unit
     if focus <= 0.0:
@@ -372,5 +375,3 @@ def _note_what_is_ignored(camera: UsdGeom.Camera, time: Usd.TimeCode, notes: lis
 
     if value(camera.GetClippingPlanesAttr()):
         add("clipping-planes-ignored", "only clippingRange clips the picture.")
-    if value(camera.GetShutterOpenAttr()) != value(camera.GetShutterCloseAttr()):
-        add("motion-blur-ignored", "the picture shows the moment of the frame.")

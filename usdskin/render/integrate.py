@@ -71,6 +71,29 @@ class DeviceScene:
     """Objects the structs point into, such as the ``wp.Mesh``."""
 
 
+@dataclass(frozen=True, slots=True)
+class Share:
+    """Some of a pixel's samples: every ``count``-th, from number ``index`` on."""
+
+    index: int
+    count: int
+
+    def of(self, samples: NDArray[Any]) -> NDArray[Any]:
+        """Return these of all samples."""
+        return np.ascontiguousarray(samples[self.index :: self.count])
+
+    def size(self, samples: int) -> int:
+        """Return how many of all samples these are."""
+        return len(range(self.index, samples, self.count))
+
+    def first(self, samples: int) -> int:
+        """Return how many samples the shares before have."""
+        return sum(Share(k, self.count).size(samples) for k in range(self.index))
+
+
+WHOLE = Share(0, 1)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
     """One rendered picture."""
@@ -84,6 +107,10 @@ class Picture:
     extra: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     """What only tracing measures, by name: parts of the XYZ, shape [height, width, 3], and
     ``variance`` of Y, ``sampleCount`` and ``visibility``, shape [height, width]."""
+
+    unshadowed: NDArray[np.float32] | None = None
+    """Y of the diffuse light as if nothing stood in its way, where there is ``visibility``, shape
+    [height, width]."""
 
 
 def picture_kernels(device: str, sources: Collection[str], traced: bool) -> tuple[ModuleType, ...]:
@@ -133,6 +160,7 @@ def integrate(
     spectral: bool,
     show_dome: bool,
     checkpoint: Checkpoint | None = None,
+    share: Share = WHOLE,
 ) -> Picture:
     """Render a picture.
 
@@ -147,12 +175,14 @@ def integrate(
         spectral: Whether to return spectra.
         show_dome: Whether the domes are seen behind the surfaces.
         checkpoint: Keeps what is finished; None keeps nothing.
+        share: Which of the samples to take.
     """
     width, height = resolution
     count = width * height
     device = workers.device
     rays = device_camera(camera, resolution)
-    offsets = wp.array(sample_offsets(samples, pixel_filter), dtype=wp.vec2f, device=device)
+    chosen = share.of(sample_offsets(samples, pixel_filter))
+    offsets = wp.array(chosen, dtype=wp.vec2f, device=device)
     xyza = np.zeros((count, 4), np.float32)
     bands = scene.band_count if spectral else 0
     folder = checkpoint.file.parent if checkpoint is not None else None
@@ -173,6 +203,7 @@ def integrate(
             return
         tile = structs.Film()
         tile.sample = offsets
+        tile.first_sample, tile.sample_count = share.first(samples), samples
         tile.first_pixel = begin
         if projection is None:
             tile.face = wp.empty((0, 0), dtype=wp.int32, device=device)

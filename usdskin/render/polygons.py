@@ -248,6 +248,25 @@ def is_closed(face_counts: IndexArray, corner_vertex: IndexArray, points: FloatA
     return bool(proper.any()) and _edges_pair_up(start[proper], end[proper], len(points))
 
 
+def open_edge_count(face_counts: IndexArray, corner_vertex: IndexArray, points: FloatArray) -> int:
+    """Return how many edges are not shared by exactly two faces that run along them oppositely.
+
+    Args:
+        face_counts: Corners per face, shape [face_count].
+        corner_vertex: Vertex of each corner, shape [corner_count].
+        points: Positions, shape [vertex_count, 3].
+    """
+    if len(corner_vertex) == 0:
+        return 0
+    name = _positions(points)
+    start = name[corner_vertex]
+    end = name[corner_vertex[corner_links(face_counts)[2]]]
+    edge = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=1)[start != end]
+    _, owner, uses = np.unique(edge, axis=0, return_inverse=True, return_counts=True)
+    along = np.bincount(owner.reshape(-1), (start < end)[start != end], len(uses))
+    return int(np.count_nonzero((uses != 2) | (along != 1)))
+
+
 def _edges_pair_up(start: IndexArray, end: IndexArray, count: int) -> bool:
     """Return whether each directed edge occurs once, and once the other way."""
     if len(start) % 2:

@@ -24,6 +24,7 @@ from usdskin.render.opinions import (
     real_number,
     resolution,
     text,
+    truth,
 )
 from usdskin.render.overrides import RenderOverrides
 
@@ -63,6 +64,12 @@ class Product:
 
     pixel_aspect_ratio: float
     conform_policy: str
+    motion_blur: bool
+    """Whether what moves while the shutter is open is blurred."""
+
+    depth_of_field: bool
+    """Whether what is out of focus is blurred."""
+
     exr: Path | None
     png: Path | None
     spectral: Path | None
@@ -172,6 +179,10 @@ def _read_product(
         conform_policy=choose(
             prims, "aspectRatioConformPolicy", one_of(CONFORM_POLICIES), CONFORM_POLICIES[0]
         ),
+        motion_blur=not choose(
+            prims, "disableMotionBlur", truth, choose(prims, "instantaneousShutter", truth, False)
+        ),
+        depth_of_field=not choose(prims, "disableDepthOfField", truth, False),
         exr=None,
         png=None,
         spectral=None,

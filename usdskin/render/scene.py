@@ -418,7 +418,22 @@ def _upload_geometry(
     geometry.corner_frame = wp.array(frame_value, dtype=wp.vec4f, device=device)
     geometry.material = wp.array(material, dtype=wp.int32, device=device)
     geometry.prim = wp.array(prim, dtype=wp.int32, device=device)
+    sheets = [_is_sheet(mesh, scene) for mesh in scene.meshes] or [False]
+    geometry.sheet = wp.array(np.array(sheets, np.int32), dtype=wp.int32, device=device)
     return geometry, mesh, Faces(joined_points, joined_triangles, prim, material)
+
+
+def _is_sheet(mesh: MeshArrays, scene: Scene) -> bool:
+    """Return whether a mesh encloses nothing and all its skins say how thick they are."""
+    if mesh.closed:
+        return False
+    bound = (scene.materials[scene.material_index[path]] for path in mesh.material_paths)
+    skins = [material for material in bound if isinstance(material, SkinMaterial)]
+    return all(
+        skin.thickness_primvar in mesh.primvars or skin.parameters.thickness > 0.0
+        for skin in skins
+        if skin.thickness_primvar is not None
+    )
 
 
 def _corner_values(

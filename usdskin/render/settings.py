@@ -56,6 +56,9 @@ SAMPLES_LIMIT = 4096
 TRACED_SAMPLES = 64
 """Samples per pixel where nobody says how many and light is traced."""
 
+MOTION_LIMIT = 256
+"""As ``usdskin:motionSamples`` limits it."""
+
 LEVEL_LIMIT = 8
 """As ``usdskin:subdivisionLevel`` limits it: every level has four times the faces."""
 
@@ -113,6 +116,9 @@ class RenderSettings:
 
     bounces: int
     """How often reflected light falls on other surfaces, 0 or 1; traced only."""
+
+    motion_samples: int
+    """Moments that a picture with motion blur is the mean of; 0 chooses."""
 
     pixel_filter: str
     seed: int
@@ -173,7 +179,14 @@ class RenderJob:
         return seen.hexdigest()
 
 
-_VIEW_FIELDS = ("camera", "resolution", "pixel_aspect_ratio", "conform_policy")
+_VIEW_FIELDS = (
+    "camera",
+    "resolution",
+    "pixel_aspect_ratio",
+    "conform_policy",
+    "motion_blur",
+    "depth_of_field",
+)
 _WITHOUT_BEARING_ON_PIXELS = (
     "prim_path",
     "ev",
@@ -341,6 +354,7 @@ _OPINIONS = {
         "usdskin:targetError", "--target-error", real_number(0.0, 1.0), "target_error"
     ),
     "bounces": _Opinion("usdskin:bounces", "--bounces", whole_number(0, 1), "bounces"),
+    "motion_samples": _Opinion("usdskin:motionSamples", "", whole_number(0, MOTION_LIMIT), ""),
     "pixel_filter": _Opinion(
         "usdskin:pixelFilter", "--filter", one_of(PIXEL_FILTERS), "pixel_filter"
     ),

@@ -24,8 +24,10 @@ from usdskin.render.film import sample_offsets
 from usdskin.render.integrate import (
     GPU_TILE_PIXELS,
     TILE_PIXELS,
+    WHOLE,
     DeviceScene,
     Picture,
+    Share,
     device_camera,
 )
 from usdskin.render.light_maps import LightField, luminances
@@ -70,6 +72,9 @@ class Sampling:
     pixel_filter: str
     key: int
     """Of the seed and the frame."""
+
+    share: Share = WHOLE
+    """Which of the samples to take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,8 +218,11 @@ def integrate_traced(
     spectrum = None
     if spectral:
         spectrum = result["spectrum"].reshape(height, width, -1)[:, :, : scene.band_count]
-    extra = _extra(result, xyza, (height, width)) if parts else {}
-    return Picture(xyza, spectrum, extra)
+    if not parts:
+        return Picture(xyza, spectrum)
+    tally = result["tally"].reshape(height, width, 4)
+    unshadowed = tally[:, :, 1] / np.maximum(tally[:, :, 3], 1.0)
+    return Picture(xyza, spectrum, _extra(result, xyza, (height, width)), unshadowed)
 
 
 def _tile_rows(width: int, height: int, pixels: int) -> int:
@@ -229,22 +237,32 @@ def _passes(settings: Sampling, device: str) -> list[_Pass]:
     Later passes take more directions of light from as many camera samples: what is noisy is the
     light. Every pass has its own camera samples.
     """
-    first = min(settings.samples, FIRST_SAMPLES)
-    offsets = sample_offsets(first, settings.pixel_filter)
+    samples, begin = settings.share.size(settings.samples), settings.share.first(settings.samples)
+    first = min(samples, FIRST_SAMPLES)
+    moved = 16 * settings.share.index  # more than there are passes
+    offsets = sample_offsets(first, settings.pixel_filter, _shift(moved))
     found = [(0, offsets[0::2], 1), ((first + 1) // 2, offsets[1::2], 1)]
     taken = first
-    while taken < settings.samples:
-        more = min(taken, settings.samples - taken)
+    while taken < samples:
+        more = min(taken, samples - taken)
         split = max(1, more // FIRST_SAMPLES)
         cameras = max(1, more // split)
-        shift = (0.754877666 * len(found) % 1.0, 0.569840290 * len(found) % 1.0)
+        shift = _shift(moved + len(found))
         found.append((taken, sample_offsets(cameras, settings.pixel_filter, shift), split))
         taken += cameras * split
     return [
-        _Pass(begin, wp.array(np.ascontiguousarray(at), dtype=wp.vec2f, device=device), split)
-        for begin, at, split in found
+        _Pass(
+            begin + at_sample,
+            wp.array(np.ascontiguousarray(at), dtype=wp.vec2f, device=device),
+            split,
+        )
+        for at_sample, at, split in found
         if len(at)
     ]
+
+
+def _shift(number: int) -> tuple[float, float]:
+    return 0.754877666 * number % 1.0, 0.569840290 * number % 1.0
 
 
 class _Tile:
