@@ -383,7 +383,8 @@ def test_a_pane_takes_its_opacity_from_the_light(tmp_path, opacity, threshold, l
             np.testing.assert_allclose(found, 1.0, rtol=2e-5)
 
 
-def test_variance_is_honest_over_seeds(tmp_path):
+def test_variance_is_never_told_too_low(tmp_path):
+    """The halves of a Sobol' prefix complement one another, so it is told too high."""
     points, faces = cup()
     body = Body(points=points + OFF, faces=faces, scattering=0.5, delta=3.0)
     view = view_of(tmp_path, [body], lamp_room(16), 16, 2.6, OFF + [0.0, 0.6, 0.0], (0.4, 3, 2))
@@ -395,7 +396,7 @@ def test_variance_is_honest_over_seeds(tmp_path):
     true = np.var(means, axis=0, ddof=1)
     counts = true > 1e-10 * np.mean(means) ** 2
     ratio = np.mean(told, axis=0)[counts].sum() / true[counts].sum()
-    assert 0.5 < ratio < 2.0
+    assert 0.8 < ratio < 6.0
 
 
 # --- Lights that are not maps --------------------------------------------------------------------

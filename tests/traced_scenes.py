@@ -12,13 +12,11 @@ from usdskin.device import Workers, open_workers
 from usdskin.progress import SilentProgress
 from usdskin.render.cameras import read_camera
 from usdskin.render.integrate import DeviceScene, Picture, integrate
-from usdskin.render.light_maps import luminances
-from usdskin.render.light_tree import build_light_tree
 from usdskin.render.overrides import RenderOverrides
 from usdskin.render.render import ERROR_FLOOR
 from usdskin.render.scene import Scene, mean_white, read_scene, upload
 from usdskin.render.settings import read_settings
-from usdskin.render.traced import Sampling, integrate_traced, sampling_key
+from usdskin.render.traced import Sampling, integrate_traced, sampling_key, trace_lights
 
 # isort: split
 # After ours, which register the schemas.
@@ -274,7 +272,7 @@ def ready(stage: Usd.Stage, size: int, threads: int = 2) -> Ready:
     time = Usd.TimeCode.Default()
     scene = read_scene(stage, time, settings, notes)
     device_scene, light = upload(scene, workers, show_dome=True, traced=True)
-    tree = build_light_tree(scene.lights, luminances(light, scene.frame), workers.device)
+    tree = trace_lights(scene.lights, light, scene.frame, workers.device)
     camera = read_camera(
         stage, Sdf.Path("/Camera"), time, (size, size), 1.0, "expandAperture", notes
     )

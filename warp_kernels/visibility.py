@@ -151,17 +151,20 @@ def cross_bodies(
     """
     result = Crossing()
     result.clear = 1.0
-    behind = wp.dot(direction, origin.normal) < 0.0
+    cosine = wp.dot(direction, origin.normal)
+    behind = cosine < 0.0
     if behind and own < 0 and origin.opaque != 0 and links.active == 0:
         result.clear = 0.0
         return result
-    entered = float(-1.0)
+    inside = int(0)
+    entered = float(0.0)
     side = float(1.0)
     if behind and own >= 0:
         if geometry.sheet[own] == 0:
             side = -1.0
             if limit > 0.0:
-                entered = 0.0
+                inside = 1
+                entered = -origin.gap / wp.max(-cosine, 0.05)  # the way to where the ray begins
     begin = origin.position + (side * origin.gap) * origin.normal
     start = float(0.0)
     last = int(-1)
@@ -170,11 +173,11 @@ def cross_bodies(
     near = float(origin.gap)
     for _k in range(MAX_CROSSINGS):
         reach = distance - start
-        if entered >= 0.0:
+        if inside != 0:
             reach = wp.min(reach, entered + limit - result.length - start)
         hit = wp.mesh_query_ray(geometry.mesh, begin + start * direction, direction, reach)
         if not hit.result:
-            if entered >= 0.0:
+            if inside != 0:
                 result.clear = 0.0
             return result
         t = start + hit.t
@@ -187,18 +190,19 @@ def cross_bodies(
             last_t = t
             last_sign = hit.sign
             start = t
-            inside = geometry.prim[hit.face] == own
-            if inside:
-                inside = materials.kind[geometry.material[hit.face]] == 1
-            if inside:
+            is_own = geometry.prim[hit.face] == own
+            if is_own:
+                is_own = materials.kind[geometry.material[hit.face]] == 1
+            if is_own:
                 if limit > 0.0:
                     if geometry.sheet[own] != 0:
                         result.length += _thickness_at(geometry, materials, hit.face, hit.u, hit.v)
-                    elif entered < 0.0:
+                    elif inside == 0:
+                        inside = 1
                         entered = t
                     else:
                         result.length += t - entered
-                        entered = -1.0
+                        inside = 0
                     if result.length >= limit:
                         result.clear = 0.0
                         return result
