@@ -13,22 +13,26 @@ import numpy as np
 from benchmarks import equal_error, scene
 from benchmarks.compare import Bench
 from benchmarks.measure import ROOT, middle, run
-from benchmarks.report import Row
+from benchmarks.report import Row, Section
 
 VARIABLE = "USDSKIN_BPY_PYTHON"
 SAMPLES = (16, 64)
 
 
-def cycles_rows(bench: Bench, size: int) -> list[Row]:
+def cycles_section(bench: Bench, size: int) -> Section:
     """Measure Cycles in RGB at two sample counts, or say why not."""
+    columns = ("", "seconds", "relative RMSE", "peak memory", "")
+    section = Section(f"Cycles, RGB, {size} x {size}", columns)
     python = os.environ.get(VARIABLE)
     if not python:
-        return [Row("Cycles", "", "", "", f"not run: {VARIABLE} names no Python with bpy")]
+        section.rows.append(
+            Row("Cycles", "", "", "", f"not run: {VARIABLE} names no Python with bpy")
+        )
+        return section
     points, normals, faces = scene.shape("head 50k")
     arrays = bench.folder / "cycles.npz"
     np.savez(arrays, points=points, normals=normals, faces=faces, room=scene.environment(),
              color=scene.reflectance_rgb())  # fmt: skip
-    found = []
     skin = equal_error.skin_of(bench.picture(f"head 50k {size} ours 16")[..., 3].min(axis=0))
     for samples in SAMPLES[:1] if bench.is_quick else SAMPLES:
         name = f"cycles {samples}"
@@ -45,7 +49,7 @@ def cycles_rows(bench: Bench, size: int) -> list[Row]:
         bench.raw[name] = result
         seen = bench.picture(name)[:, skin, :3].astype(np.float64)
         noise = float(np.sqrt(seen.var(axis=0, ddof=1).mean()) / seen.mean())
-        found.append(Row(f"{samples} spp, RGB: seconds, relative RMSE, peak memory",
+        section.rows.append(Row(f"{samples} spp",
                          f"{middle(result, 'pixels'):.3f} s", f"{noise:.2%}",
                          f"{result['peak_mb']:.0f} MB"))  # fmt: skip
-    return found
+    return section

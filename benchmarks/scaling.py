@@ -96,8 +96,11 @@ def plot(curves: dict[str, list[tuple[float, float]]], path: Path) -> None:
             if name in curves:
                 amounts, seconds = zip(*curves[name], strict=True)
                 axis.plot(amounts, seconds, "o-", label=name)
-        axis.set_xscale("log", base=2 if names == ("threads",) else 10)
-        axis.set_ylim(0.0)
+        amounts = sorted({amount for name in names for amount, _ in curves.get(name, [])})
+        axis.set_xscale("log")
+        axis.set_xticks(amounts, [f"{amount:,.0f}" for amount in amounts], fontsize=8)
+        axis.minorticks_off()
+        axis.set_ylim(0.0, 1.1 * axis.get_ylim()[1])
         axis.set_xlabel(names[0].split()[-1])
         axis.grid(alpha=0.3)
         if len(names) > 1:

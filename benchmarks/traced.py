@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks import device_rate, equal_error, scaling, scene, turntable
 from benchmarks.compare import COLUMNS, Bench
-from benchmarks.cycles import cycles_rows
+from benchmarks.cycles import cycles_section
 from benchmarks.equal_error import Crossing, Found, Reference
 from benchmarks.measure import machine, middle
 from benchmarks.report import Row, Section, as_markdown, as_text, write_json
@@ -241,12 +241,12 @@ def main() -> int:
         parts.append(bands(bench, "head 50k", size))
         turns = turntable.rows(bench, "head 50k", size, frames, truth)
         parts.append(Section(f"Turntables, {size} x {size}, {frames} frames", COLUMNS, turns))
-        parts.append(Section(f"Cycles, {size} x {size}", COLUMNS, cycles_rows(bench, size)))
+        parts.append(cycles_section(bench, size))
         tables, curves = scaling.sections(bench, 128 if given.quick else 256)
         parts += tables
         if given.device:
             parts.append(device_rate.section(bench, given.device))
-    print(as_text(about, parts))
+    print(as_text({}, parts))
     if given.plot:
         scaling.plot(curves, given.plot)
     if given.markdown:
