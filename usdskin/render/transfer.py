@@ -228,6 +228,9 @@ class DeviceTransfers:
     material: NDArray[np.int32]
     """Material of each vertex, shape [vertex_count]."""
 
+    hidden: wp.array
+    """A bit per direction that no reflection comes from, shape [place_count, word_count]."""
+
 
 def upload_transfers(transfers: Transfers, device: str) -> DeviceTransfers:
     """Copy the baked shadows of a scene to a device."""
@@ -239,6 +242,7 @@ def upload_transfers(transfers: Transfers, device: str) -> DeviceTransfers:
         vertices,
         wp.array(transfers.corner_vertex, dtype=wp.int32, device=device),
         transfers.material,
+        wp.array(transfers.measured.hidden(), dtype=wp.uint32, device=device),
     )
 
 
@@ -292,6 +296,13 @@ def shade_transfers(
     workers.run(count, _CHUNK if device == "cpu" else count, work)
     scene.geometry.transfer_vertex = transfers.corner_vertex
     scene.geometry.transfer = change
+    ring = np.insert(np.cumsum(transfers.sphere.counts), 0, 0).astype(np.int32)
+    order = transfers.sphere.order.astype(np.int32)
+    scene.geometry.seen_row = transfers.vertices.row
+    scene.geometry.seen_hidden = transfers.hidden
+    scene.geometry.seen_ring = wp.array(ring, dtype=wp.int32, device=device)
+    scene.geometry.seen_order = wp.array(order, dtype=wp.int32, device=device)
+    scene.geometry.seen_axes = wp.mat33f(*transfers.sphere.axes.astype(np.float32).ravel().tolist())
 
 
 def project_dome(
