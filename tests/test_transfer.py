@@ -1,6 +1,7 @@
 """Baked transfer: closed forms of what is blocked, then the traced picture, then misuse."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -356,6 +357,20 @@ def test_a_missing_or_damaged_file_is_refused(room, tmp_path, capsys):
     (tmp_path / "transfer.npz").write_bytes(bytes(data))
     code, line = refused(capsys, "render", stage, tmp_path / "x.exr")
     assert code == 3
+
+
+@pytest.mark.parametrize(
+    ("attribute", "value"), [("version", 2), ("rings", 1), ("rings", 50), ("rowCount", 7)]
+)
+def test_a_layer_that_contradicts_its_file_is_refused(room, tmp_path, capsys, attribute, value):
+    for name in ("stage.usda", "transfer.npz", "room.exr"):
+        (tmp_path / name).write_bytes((room / name).read_bytes())
+    text = (room / "transfer.usda").read_text()
+    text = re.sub(f"int transfer:{attribute} = .*", f"int transfer:{attribute} = {value}", text)
+    (tmp_path / "transfer.usda").write_text(text)
+    code, line = refused(capsys, "render", tmp_path / "stage.usda", tmp_path / "x.exr")
+    assert code == 3
+    assert line.endswith("bake it again with `usdskin bake`")
 
 
 def test_brute_shading_with_transfer_is_refused(room, capsys):
