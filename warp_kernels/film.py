@@ -6,11 +6,9 @@ import warp as wp
 
 from usdskin.warp_kernels.lookup import lookup_dome
 from usdskin.warp_kernels.sampling import disk_from_square, hash_pair
-from usdskin.warp_kernels.seen import hide_reflections
+from usdskin.warp_kernels.seen import deposit_transfer, has_transfer, hide_reflections
 from usdskin.warp_kernels.skin import (
     Point,
-    deposit_transfer,
-    has_transfer,
     reflect_preview_surface,
     reflect_skin,
     shade_emission,

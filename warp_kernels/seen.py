@@ -1,7 +1,8 @@
-"""How much of a reflection other surfaces hide, from shadows that were measured before.
+"""Shadows that were measured before, at the points of a picture.
 
-The directions a vertex sees (``usdskin.warp_kernels.transfer``) are looked up around the mirrored
-view, as wide as the lobe is.
+Of diffuse light they change what ``usdskin.warp_kernels.transfer`` summed at the vertices. Of
+reflections they hide a part: the directions a vertex sees are looked up around the mirrored view,
+as wide as the lobe is.
 """
 
 from __future__ import annotations
@@ -10,10 +11,47 @@ import warp as wp
 
 from usdskin.warp_kernels.lookup import latlong_coordinates
 from usdskin.warp_kernels.sampling import tangent_of
-from usdskin.warp_kernels.skin import Point, Reflection, has_transfer
-from usdskin.warp_kernels.structs import Geometry
+from usdskin.warp_kernels.skin import Point, Reflection, base_weight, deposit
+from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def has_transfer(geometry: Geometry, point: Point) -> bool:
+    """Return whether shadows were measured on the side of the surface that is seen."""
+    if geometry.transfer_vertex.shape[0] == 0:
+        return False
+    corner = point.corner
+    if geometry.transfer_vertex[corner] < 0:
+        return False
+    return wp.dot(geometry.corner_normal[corner], point.normal) > 0.0
+
+
+@wp.func
+def deposit_transfer(
+    geometry: Geometry, lights: Lights, materials: Materials, film: Film, pixel: wp.int32,
+    point: Point, r: Reflection,
+):  # fmt: skip
+    """Deposit what measured shadows change of the diffuse rows (``transfer.gather_light``)."""
+    m = point.material
+    corner = point.corner
+    first = geometry.transfer_vertex[corner]
+    second = geometry.transfer_vertex[corner + 1]
+    third = geometry.transfer_vertex[corner + 2]
+    at = r.diffuse * point.barycentric
+    groups = lights.group_count
+    bases = materials.weight_count[m]
+    passes = int(1)
+    if materials.kind[m] == 1:
+        passes = 2 + 2 * materials.passage_rank[m]
+    for column in range(passes * groups):
+        value = at[0] * geometry.transfer[first, column]
+        value += at[1] * geometry.transfer[second, column]
+        value += at[2] * geometry.transfer[third, column]
+        for j in range(bases):
+            row = (column / groups * bases + j) * groups + column % groups
+            deposit(materials, film, pixel, m, row, base_weight(r.low, r.high, j) * value)
 
 
 @wp.func

@@ -26,7 +26,8 @@ from usdskin.render.products import Product, prepare_folders
 from usdskin.render.scene import Scene, mean_white, read_scene, upload
 from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
 from usdskin.render.traced import Sampling, integrate_traced, sampling_key
-from usdskin.render.transfer import read_transfers, shade_transfers, upload_transfers
+from usdskin.render.transfer import read_transfers
+from usdskin.render.transfer_light import shade_transfers, upload_transfers
 
 # isort: split
 # After ours, which register the schemas.
