@@ -105,7 +105,7 @@ CASES = [
 
 @pytest.mark.parametrize(("shape", "light", "wrap", "delta"), CASES)
 def test_shadowed_light_is_that_of_brute_force(tmp_path, shape, light, wrap, delta):
-    """Mean over the probes to 0.1 %, each within 1 % of the mean, and no more than noise explains."""
+    """Mean over the probes to 0.1 %, each within 1 % of it, and no more than noise explains."""
     map_ = soft_room(8) if light == "soft" else lamp_room(16)
     turn = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
     bodies = [

@@ -1,6 +1,8 @@
 """Baked transfer: closed forms of what is blocked, then the traced picture, then misuse."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -24,14 +26,10 @@ from usdskin.render.environment import build_environment
 from usdskin.render.overrides import RenderOverrides
 from usdskin.render.scene import read_scene, upload
 from usdskin.render.settings import read_settings
-from usdskin.render.transfer import (
-    project_dome,
-    read_transfers,
-    shade_transfers,
-    upload_transfers,
-)
+from usdskin.render.transfer import read_transfers
 from usdskin.render.transfer_bake import bake_transfer
 from usdskin.render.transfer_file import joined, pack
+from usdskin.render.transfer_light import project_dome, shade_transfers, upload_transfers
 from usdskin.render.transfer_sphere import ring_count, transfer_sphere
 
 # isort: split
@@ -262,6 +260,27 @@ def test_a_picture_with_transfer_is_the_traced_one(room, stage):
         assert np.abs(baked - traced).mean() < 0.2 * np.abs(plain - traced).mean()
 
 
+def test_a_wall_hides_what_would_be_mirrored(tmp_path):
+    """The view of the floor's middle is mirrored towards the wall, so gloss adds nothing there."""
+    wall = ([(-50, 0, -1.1), (50, 0, -1.1), (50, 60, -1.1), (-50, 60, -1.1)], [(0, 1, 2, 3)])
+    floor, wall = mesh("Floor", *grid(0.5, 2)), mesh("Wall", *wall, material=None)
+
+    def middle(name, *meshes, baked, gloss):
+        stage = write_stage(
+            tmp_path / name, *meshes, gloss=gloss, layers=["transfer.usda"] if baked else []
+        )
+        return render(stage, "x.exr", "-p", "1", size=7)[3, 3].mean()
+
+    bake(write_stage(tmp_path / "base.usda", floor, wall), directions=1024)
+    # In uniform light gloss gives back what it takes of the diffuse light, some 4 %, unless hidden.
+    plain = middle("a.usda", floor, wall, baked=False, gloss=0.0)
+    glossy = middle("b.usda", floor, wall, baked=False, gloss=1.0)
+    assert glossy == pytest.approx(plain, rel=0.01)
+    without = middle("c.usda", floor, wall, baked=True, gloss=0.0)
+    hidden = middle("d.usda", floor, wall, baked=True, gloss=1.0)
+    assert 0.93 * without < hidden < 0.98 * without
+
+
 def test_the_same_picture_whatever_the_threads(room):
     first = render(room / "stage.usda", "one.exr", "--threads", "1")
     second = render(room / "stage.usda", "two.exr", "--threads", "2")
@@ -336,6 +355,20 @@ def test_a_missing_or_damaged_file_is_refused(room, tmp_path, capsys):
     assert code == 3
 
 
+@pytest.mark.parametrize(
+    ("attribute", "value"), [("version", 2), ("rings", 1), ("rings", 50), ("rowCount", 7)]
+)
+def test_a_layer_that_contradicts_its_file_is_refused(room, tmp_path, capsys, attribute, value):
+    for name in ("stage.usda", "transfer.npz", "room.exr"):
+        (tmp_path / name).write_bytes((room / name).read_bytes())
+    text = (room / "transfer.usda").read_text()
+    text = re.sub(f"int transfer:{attribute} = .*", f"int transfer:{attribute} = {value}", text)
+    (tmp_path / "transfer.usda").write_text(text)
+    code, line = refused(capsys, "render", tmp_path / "stage.usda", tmp_path / "x.exr")
+    assert code == 3
+    assert line.endswith("bake it again with `usdskin bake`")
+
+
 def test_brute_shading_with_transfer_is_refused(room, capsys):
     arguments = ("render", room / "stage.usda", room / "x.exr", "--spectral", "brute")
     code, line = refused(capsys, *arguments)
@@ -407,3 +440,18 @@ def test_a_referenced_bake_and_receivers_alone(tmp_path):
     assert set(transfers.prim) == {0}
     assert (transfers.corner_vertex[3 * len(scene.meshes[0].triangles) :] == -1).all()
     assert change[:, 0].min() < -0.1
+
+
+@pytest.mark.slow
+def test_a_stage_with_texture_gloss_and_opacity_is_the_traced_one(tmp_path):
+    forearm = Path(__file__).resolve().parents[1] / "stages" / "forearm" / "forearm.usda"
+    bake_transfer(forearm, tmp_path / "transfer.usda", RenderOverrides(device="cpu"), QUIET)
+    stage = tmp_path / "shot.usda"
+    stage.write_text(
+        "#usda 1.0\n(\n    subLayers = [@./transfer.usda@, @"
+        f'{forearm}@]\n    renderSettingsPrimPath = "/Render/Settings"\n    upAxis = "Y"\n'
+        '    metersPerUnit = 1\n    defaultPrim = "World"\n)\n'
+    )
+    baked = render(stage, "baked.exr", "-p", "8", size=96)
+    traced = render(stage, "traced.exr", "--integrator", "traced", "-p", "128", size=96)
+    assert np.abs(baked - traced).mean() < 0.01 * np.percentile(traced, 99)

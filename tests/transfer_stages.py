@@ -39,6 +39,7 @@ def Xform "World"
         float inputs:skin:alpha = 0.7
         float inputs:skin:wrap = {wrap}
         float inputs:skin:opacity = {opacity}
+        float inputs:skin:specular:weight = {gloss}
         uniform double[] spectrum:scattering:wavelengths = [400, 700]
         double[] spectrum:scattering:values = [0.3, 0.3]
         uniform token spectrum:scattering:quantity = "scattering"
@@ -123,11 +124,18 @@ def box(sizes, steps=4):
     return np.concatenate([up, down]), faces
 
 
-def write_stage(path, *meshes, layers=(), dome=UNIFORM, turn=0.0, wrap=0.3, opacity=0.0, extra=""):
+def write_stage(
+    path, *meshes, layers=(), dome=UNIFORM, turn=0.0, wrap=0.3, opacity=0.0, gloss=0.0, extra=""
+):
     """Write a stage of meshes under a dome; return its path."""
     names = ", ".join(f"@./{layer}@" for layer in layers)
     text = HEADER.format(layers=names) + WORLD.format(
-        dome=dome, turn=turn, wrap=wrap, opacity=opacity, meshes="".join(meshes) + extra
+        dome=dome,
+        turn=turn,
+        wrap=wrap,
+        opacity=opacity,
+        gloss=gloss,
+        meshes="".join(meshes) + extra,
     )
     path.write_text(text)
     return path

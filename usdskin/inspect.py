@@ -19,6 +19,7 @@ from usdskin.inspect_estimates import (
     recovery_rows,
     skin_row,
     spectral_camera_row,
+    transfer_row,
 )
 from usdskin.notes import Note
 
@@ -78,7 +79,7 @@ def _stage_report(path: Path, stage: Any, notes: list[Note]) -> Report:
         ("calibrations", _is_calibrated, spectral_camera_row),
         ("recoveries", _is_calibrated, recovery_rows),
         ("estimates", lambda prim: prim.HasAPI("LightEstimateAPI"), light_estimate_row),
-        ("transfers", lambda prim: prim.HasAPI("SkinTransferAPI"), _transfer_row),
+        ("transfers", lambda prim: prim.HasAPI("SkinTransferAPI"), transfer_row),
         ("renderSettings", lambda prim: prim.IsA(UsdRender.Settings), _settings_row),
         ("variants", lambda prim: prim.HasVariantSets(), _variant_row),
     )
@@ -292,19 +293,6 @@ def _settings_row(prim: Any) -> Row:
         "resolution": " x ".join(map(str, size)) if _length(size) == 2 else None,
         **{short: _value(prim, name) for short, name in names},
         "products": [str(path) for path in prim.GetRelationship("products").GetTargets()],
-    }
-
-
-def _transfer_row(prim: Any) -> Row:
-    from usdskin.prims.transfers import read_transfer
-
-    transfer = read_transfer(prim)
-    assert transfer is not None
-    return {
-        "file": transfer.file.name,
-        "vertices": transfer.row_count,
-        "rings": transfer.rings,
-        "subdivisionLevel": transfer.subdivision_level,
     }
 
 

@@ -181,3 +181,17 @@ def _facing(skin: Any) -> Row:
         "L*a*b* (D65, SCI)": f"{lightness:.1f} {a:.1f} {b:.1f}",
         "ITA [deg]": round(float(np.degrees(np.arctan2(lightness - 50.0, b))), 1),
     }
+
+
+def transfer_row(prim: Any) -> dict[str, Any]:
+    """Return where a prim's baked shadows are."""
+    from usdskin.prims.transfers import read_transfer
+
+    transfer = read_transfer(prim)
+    assert transfer is not None
+    return {
+        "file": transfer.file.name,
+        "vertices": transfer.row_count,
+        "rings": transfer.rings,
+        "subdivisionLevel": transfer.subdivision_level,
+    }

@@ -7,10 +7,9 @@ import warp as wp
 from usdskin.warp_kernels.detail import relieved
 from usdskin.warp_kernels.lookup import lookup_dome
 from usdskin.warp_kernels.sampling import disk_from_square, hash_pair
+from usdskin.warp_kernels.seen import deposit_transfer, has_transfer, hide_reflections
 from usdskin.warp_kernels.skin import (
     Point,
-    deposit_transfer,
-    has_transfer,
     reflect_preview_surface,
     reflect_skin,
     shade_emission,
@@ -279,13 +278,15 @@ def _picture_kernel(
                     behind = 0.0
                     deposit_transfer(geometry, lights, materials, film, pixel, point, r)
                 shade_skin(geometry, lights, materials, film, pixel, point, r, behind)
-                shade_gloss(lights, materials, film, pixel, point, r)
+                seen = hide_reflections(geometry, point, r)
+                shade_gloss(lights, materials, film, pixel, point, seen)
             elif opacity > 0.0 or shines_when_clear(materials, current):
                 r = reflect_preview_surface(geometry, lights, materials, point, clear, opacity)
                 shade_preview_surface(lights, materials, film, pixel, point, r)
                 if has_transfer(geometry, point):
                     deposit_transfer(geometry, lights, materials, film, pixel, point, r)
-                shade_gloss(lights, materials, film, pixel, point, r)
+                seen = hide_reflections(geometry, point, r)
+                shade_gloss(lights, materials, film, pixel, point, seen)
                 shade_emission(geometry, lights, materials, film, pixel, point, r)
             alpha += clear * opacity
             clear = clear * (1.0 - opacity)

@@ -418,43 +418,6 @@ def shade_skin(
 
 
 @wp.func
-def has_transfer(geometry: Geometry, point: Point) -> bool:
-    """Return whether shadows were measured on the side of the surface that is seen."""
-    if geometry.transfer_vertex.shape[0] == 0:
-        return False
-    corner = point.corner
-    if geometry.transfer_vertex[corner] < 0:
-        return False
-    return wp.dot(geometry.corner_normal[corner], point.normal) > 0.0
-
-
-@wp.func
-def deposit_transfer(
-    geometry: Geometry, lights: Lights, materials: Materials, film: Film, pixel: wp.int32,
-    point: Point, r: Reflection,
-):  # fmt: skip
-    """Deposit what measured shadows change of the diffuse rows (``transfer.gather_light``)."""
-    m = point.material
-    corner = point.corner
-    first = geometry.transfer_vertex[corner]
-    second = geometry.transfer_vertex[corner + 1]
-    third = geometry.transfer_vertex[corner + 2]
-    at = r.diffuse * point.barycentric
-    groups = lights.group_count
-    bases = materials.weight_count[m]
-    passes = int(1)
-    if materials.kind[m] == 1:
-        passes = 2 + 2 * materials.passage_rank[m]
-    for column in range(passes * groups):
-        value = at[0] * geometry.transfer[first, column]
-        value += at[1] * geometry.transfer[second, column]
-        value += at[2] * geometry.transfer[third, column]
-        for j in range(bases):
-            row = (column / groups * bases + j) * groups + column % groups
-            deposit(materials, film, pixel, m, row, base_weight(r.low, r.high, j) * value)
-
-
-@wp.func
 def first_glossy_row(lights: Lights, materials: Materials, material: wp.int32) -> wp.int32:
     """Return the row of a material's white reflections, which follow its diffuse rows."""
     passes = 1

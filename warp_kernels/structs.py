@@ -43,6 +43,22 @@ class Geometry:
     """1 where a prim's skin is a sheet with a thickness, which has no inside, else 0, shape
     [prim_count]."""
 
+    seen_row: wp.array[wp.int32]
+    """Row of ``seen_hidden`` of each row of ``transfer``, shape [vertex_count]."""
+
+    seen_hidden: wp.array2d[wp.uint32]
+    """A bit per direction from which less than half of a reflection comes, shape
+    [row_count, word_count]."""
+
+    seen_ring: wp.array[wp.int32]
+    """First direction of each ring, and one past the last, shape [ring_count + 1]."""
+
+    seen_order: wp.array[wp.int32]
+    """Bit of each direction, ring after ring."""
+
+    seen_axes: wp.mat33f
+    """From the world to the frame of the rings."""
+
 
 @wp.struct
 class CameraRays:

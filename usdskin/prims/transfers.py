@@ -17,6 +17,8 @@ from usdskin.prims.writing import write_schema
 VERSION = 1
 """Layout of the measurements that this version writes and reads."""
 
+LEAST_RINGS = 4
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinTransfer:
@@ -66,6 +68,9 @@ def read_transfer(prim: Usd.Prim) -> SkinTransfer | None:
     for name in ("transfer:file", "transfer:geometryHash", "transfer:sceneHash", "transfer:rings"):
         if not values[name]:
             raise PrimError(prim, Problem("missing-value", name, f"has no value; {remedy}"))
+    if values["transfer:rings"] < LEAST_RINGS:
+        text = f"is {values['transfer:rings']}, and {LEAST_RINGS} are the least; {remedy}"
+        raise PrimError(prim, Problem("out-of-range", "transfer:rings", text))
     reach = values["transfer:reach"]
     return SkinTransfer(
         file=values["transfer:file"],

@@ -53,12 +53,8 @@ from usdskin.render.settings import (
     resolve_settings,
 )
 from usdskin.render.traced import Sampling, integrate_traced, sampling_key, trace_lights
-from usdskin.render.transfer import (
-    Transfers,
-    read_transfers,
-    shade_transfers,
-    upload_transfers,
-)
+from usdskin.render.transfer import Transfers, read_transfers
+from usdskin.render.transfer_light import shade_transfers, upload_transfers
 
 # isort: split
 # After ours, which register the schemas.

@@ -49,6 +49,19 @@ class MeshTransfer:
     length: NDArray[np.float16]
     """Way inside the own body [mm], shape [entry_count]."""
 
+    def hidden(self) -> NDArray[np.uint32]:
+        """Return the bits of the directions from which less than half of the light comes.
+
+        Light that crosses the own body is not among it: nothing is mirrored through skin.
+        """
+        clear = (self.clear >= 128) & (self.length == 0)
+        row = np.repeat(np.arange(len(self.weakened)), np.diff(self.first))[clear]
+        place = self.direction[clear].astype(np.int64)
+        found = self.weakened.copy()
+        bits = np.left_shift(np.uint32(1), (place % 32).astype(np.uint32))
+        np.bitwise_and.at(found, (row, place // 32), ~bits)
+        return found
+
 
 def pack(clear: NDArray[np.float32], length: NDArray[np.float32]) -> MeshTransfer:
     """Return measurements as they are kept.

@@ -43,6 +43,11 @@ class TransferSphere:
     [word_count * 32, 3]."""
 
     @property
+    def axes(self) -> NDArray[np.float64]:
+        """Rotation from the world to the frame of the rings, around its +Y, shape [3, 3]."""
+        return _AXES.T
+
+    @property
     def count(self) -> int:
         """Number of directions."""
         return len(self.order)
