@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -87,7 +88,7 @@ def joined(folder: Path, name: str, layers: list[Path]) -> Path:
     return Path(layer.realPath)
 
 
-def _over(folder, stage, name):  # type: ignore[no-untyped-def]
+def _over(folder: Path, stage: Path, name: str) -> tuple[Path, Any]:
     import usdskin.schemas  # noqa: F401  (registers before the first stage)
 
     # isort: split
