@@ -131,7 +131,7 @@ def dome_directions(
     first = np.cumsum(parts**2) - parts**2
     number = np.arange(len(texel)) - first[texel]
     i, j = texel // width, texel % width
-    down, across = random.random((2, len(texel))) + [number // cut, number % cut]
+    down, across = random.random((2, len(texel))) + np.stack([number // cut, number % cut])
     y = edge[i] + (edge[i + 1] - edge[i]) * down / cut
     turn = 2.0 * np.pi * (j + across / cut) / width
     sine = np.sqrt(1.0 - y * y)
@@ -183,7 +183,12 @@ def shadowed(
 
 
 def lustre(
-    surface: Surface, view: FloatArray, radiance: FloatArray, roughness: float, f0: float, parts: int
+    surface: Surface,
+    view: FloatArray,
+    radiance: FloatArray,
+    roughness: float,
+    f0: float,
+    parts: int,
 ) -> FloatArray:
     """Return what one GGX lobe (alpha = roughness^2, Smith, Schlick) reflects of a clear dome.
 
@@ -192,9 +197,7 @@ def lustre(
     """
     height, width, bands = radiance.shape
     parts_of = np.full(height * width, parts)
-    directions, texel, angle = dome_directions(
-        height, width, parts_of, np.random.default_rng(0)
-    )
+    directions, texel, angle = dome_directions(height, width, parts_of, np.random.default_rng(0))
     n, alpha = surface.normal, roughness**2
     is_above = directions @ n > 0.0
     directions, texel, angle = directions[is_above], texel[is_above], angle[is_above]

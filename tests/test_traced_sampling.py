@@ -201,7 +201,9 @@ MAPS = pytest.mark.parametrize(
     [soft_room(16), lamp_room(32), dotted(), np.ones((1, 2, 3)), np.ones((2, 3, 1))],
     ids=["soft", "lamp", "dotted", "one row", "two rows"],
 )
-SURFACES = pytest.mark.parametrize(("wrap", "mix"), [(0.0, 0.0), (0.0, 0.4), (0.3, 0.4), (1.0, 0.4)])
+SURFACES = pytest.mark.parametrize(
+    ("wrap", "mix"), [(0.0, 0.0), (0.0, 0.4), (0.3, 0.4), (1.0, 0.4)]
+)
 
 
 @MAPS
@@ -248,9 +250,9 @@ def test_samples_follow_the_density_that_is_told(coefficients, wrap, mix):
     assert same.mean() > 0.999
     expected = density(tree, 0, normals, wrap, mix, height * width) * solid_angles(height, width)
     for n in range(len(normals)):
-        held = np.bincount(
-            drawn["texel"][n, ok[n], 1].astype(int), minlength=height * width
-        ) / (1 << 14)
+        held = np.bincount(drawn["texel"][n, ok[n], 1].astype(int), minlength=height * width) / (
+            1 << 14
+        )
         assert np.abs(held - expected[n]).sum() < 0.15
         assert np.abs(held - expected[n]).max() < 0.005
 
