@@ -234,6 +234,47 @@ def test_shadow_does_not_jump_where_the_light_passes_behind_the_surface(tmp_path
     assert np.abs(steps).max() < 0.04 * max(values)
 
 
+@pytest.mark.parametrize(
+    "turn", [(45.0, 0.0, 0.0), (90.0, 0.0, 45.0), (45.0, 45.0, 0.0), (60.0, 0.0, 30.0)]
+)
+def test_rays_along_edges_and_through_vertices_cross_a_surface_once(tmp_path, turn):
+    """A slab of small triangles, looked at where its vertices are, the sun below it.
+
+    The way through is d / |N.L| everywhere; coordinates are powers of two, so that the rays meet
+    edges and vertices of the far side.
+    """
+    top, pieces = sheet(4.0, 64), 64
+    count = len(top[0])
+    rim = np.concatenate([
+        np.arange(pieces) * (pieces + 1), pieces * (pieces + 1) + np.arange(pieces),
+        (pieces - np.arange(pieces)) * (pieces + 1) + pieces, pieces - np.arange(pieces),
+    ])  # fmt: skip
+    after = np.roll(rim, -1)
+    sides = [
+        np.stack([rim, rim + count, after + count], -1), np.stack([rim, after + count, after], -1)
+    ]  # fmt: skip
+    faces = np.concatenate([top[1], top[1][:, ::-1] + count, *sides])
+    points = np.concatenate([top[0], top[0] - np.array([0.0, 0.125, 0.0])])
+    stage = new_stage()
+    body = Body(points=points, faces=faces, wrap=1.0, scattering=1.0, delta=4.0)
+    add_body(stage, body)
+    sun = UsdLux.DistantLight.Define(stage, "/Sun")
+    sun.AddRotateXYZOp().Set(Gf.Vec3f(*turn))
+    sun.CreateAngleAttr(0.0)
+    toward = np.array(UsdGeom.Xformable(sun).GetLocalTransformation()).T[:3, 2]
+    assert toward[1] < -0.5
+    add_view(stage, [0.0, 2.0, 0.0], [0.0, 0.0, 0.0], 1.0)
+    found = ready(stage, 8).spectra(1)
+    way = 0.125 / -toward[1]
+    exact = (toward[1] + 1.0) / 2.0 * np.exp(-4.0 * way)
+    ratio = found / found[0, 0]
+    np.testing.assert_allclose(ratio, np.broadcast_to(ratio[0, 0], ratio.shape), rtol=1e-4)
+    clear = replace(body, delta=0.0)
+    add_body(stage, clear, "Body")
+    whole = ready(stage, 8).spectra(1)
+    np.testing.assert_allclose(found / whole, exact / ((toward[1] + 1.0) / 2.0), rtol=1e-3)
+
+
 # --- Scale and place -----------------------------------------------------------------------------
 
 
