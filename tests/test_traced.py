@@ -139,7 +139,7 @@ def below(polar_deg, height=128):
 
 
 def slab(thickness, **looks):
-    points, faces = box([-50.0, -thickness, -50.0], [50.0, 0.0, 50.0])
+    points, faces = box([-2.0, -thickness, -2.0], [2.0, 0.0, 2.0])
     return Body(points=points + OFF, faces=faces, wrap=1.0, scattering=1.0, **looks)
 
 
