@@ -9,6 +9,11 @@ turn into sigmoid spectra times D65 (and 61 channels are refused). Therefore
   and blue are the pictures of c0, c1 and c2 with a white surface, to be combined with the basis;
 - ``skin`` gives Mitsuba an emitter and a BSDF of its own, written here from the equations, in a
   spectral variant, so that it multiplies the spectra at single wavelengths.
+
+Either may have a second, black body that takes light from the first (``occluder_points`` and
+``occluder_faces``). For ``skin`` its shadow is tested alone, by a scene of its own: Mitsuba lifts
+shadow rays by so much that light from below the horizon leaks past the first body, by 1 %.
+``is_opaque`` says that the first body lets nothing through from behind.
 """
 
 from __future__ import annotations
@@ -56,18 +61,28 @@ def sensor(job: Job, film: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def body(job: Job, bsdf: dict[str, Any]) -> mi.Object:
+def body(job: Job, bsdf: dict[str, Any], prefix: str = "") -> mi.Object:
     """The triangles, flat."""
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(bsdf)
-    points, faces = job["points"], job["faces"]
-    mesh = mi.Mesh("body", len(points), len(faces), props=properties)
+    points, faces = job[prefix + "points"], job[prefix + "faces"]
+    mesh = mi.Mesh(prefix + "body", len(points), len(faces), props=properties)
     parameters = mi.traverse(mesh)
     for name, values in (("vertex_positions", points), ("faces", faces)):
         buffer = type(parameters[name])  # differs between scalar and vectorised variants
         parameters[name] = buffer(values.ravel())
     parameters.update()
     return mesh
+
+
+def occluders(job: Job) -> dict[str, mi.Object]:
+    """The black body, if there is one."""
+    if "occluder_points" not in job:
+        return {}
+    black = 0.0 if "spectral" in str(job["variant"]) else [0.0, 0.0, 0.0]
+    kind = "uniform" if "spectral" in str(job["variant"]) else "rgb"
+    bsdf = {"type": "diffuse", "reflectance": {"type": kind, "value": black}}
+    return {"occluder": body(job, bsdf, "occluder_")}
 
 
 def coefficient_scene(job: Job) -> dict[str, Any]:
@@ -89,11 +104,12 @@ def coefficient_scene(job: Job) -> dict[str, Any]:
         "body": body(
             job, {"type": "diffuse", "reflectance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}
         ),
+        **occluders(job),
     }
 
 
 def skin_scene(job: Job) -> dict[str, Any]:
-    """Eq. (1) under a spectral dome, one film channel per band, without shadow rays."""
+    """Eq. (1) under a spectral dome, one film channel per band."""
     plugins = define_plugins(job)
     for name, plugin in plugins.items():
         getattr(mi, f"register_{name}")(f"test_{name}", plugin)
@@ -108,6 +124,7 @@ def skin_scene(job: Job) -> dict[str, Any]:
         "sensor": sensor(job, film),
         "light": {"type": "test_emitter"},
         "body": body(job, {"type": "test_bsdf"}),
+        **occluders(job),
     }
 
 
@@ -129,6 +146,10 @@ def define_plugins(job: Job) -> dict[str, type]:
     chance = np.abs(job["coefficients"] @ job["basis"].mean(axis=1)) * area
     pick = mi.DiscreteDistribution(mi.Float(chance.astype(np.float32).ravel()))
     row_edge = mi.Float(edge.astype(np.float32))
+    is_opaque = bool(job.get("is_opaque", False))
+    occluder = None
+    if "occluder_points" in job:
+        occluder = mi.load_dict({"type": "scene", **occluders(job)})
 
     def tabulated(table: mi.Float, wavelengths: mi.Spectrum, row: int = 0) -> mi.Spectrum:
         x = dr.clip((wavelengths - start) / step, 0.0, len(nm) - 1.0001)
@@ -221,7 +242,7 @@ def define_plugins(job: Job) -> dict[str, type]:
             return mi.Float(0.0)
 
     class EmitterOnly(mi.SamplingIntegrator):
-        """One light sample per camera ray, without a shadow ray: the reflectance map."""
+        """One light sample per camera ray: the reflectance map, less what others block."""
 
         def sample(
             self,
@@ -235,7 +256,12 @@ def define_plugins(job: Job) -> dict[str, type]:
             active = active & si.is_valid()
             ds, weight = scene.sample_emitter_direction(si, sampler.next_2d(active), False, active)
             value = si.bsdf(ray).eval(mi.BSDFContext(), si, si.to_local(ds.d), active)
-            return dr.select(active, value * weight, 0.0), active, []
+            is_lit = active
+            if is_opaque:
+                is_lit = is_lit & (dr.dot(si.n, ds.d) > 0.0)
+            if occluder is not None:
+                is_lit = is_lit & ~occluder.ray_test(mi.Ray3f(si.p, ds.d), is_lit)
+            return dr.select(is_lit, value * weight, 0.0), active, []
 
     return {"emitter": Dome, "bsdf": Skin, "integrator": EmitterOnly}
 

@@ -131,7 +131,7 @@ def dome_directions(
     first = np.cumsum(parts**2) - parts**2
     number = np.arange(len(texel)) - first[texel]
     i, j = texel // width, texel % width
-    down, across = random.random((2, len(texel))) + [number // cut, number % cut]
+    down, across = random.random((2, len(texel))) + np.stack([number // cut, number % cut])
     y = edge[i] + (edge[i + 1] - edge[i]) * down / cut
     turn = 2.0 * np.pi * (j + across / cut) / width
     sine = np.sqrt(1.0 - y * y)

@@ -54,8 +54,8 @@ def probe_tree(
     sample = sample_tree(tree, normal[n], wrap, mix, u[i])
     direction[n, i] = sample.direction
     scale[n, i] = sample.scale
-    looked_up = 0.0
-    found = -1
+    looked_up = float(0.0)  # noqa: UP018  (a variable of the kernel)
+    found = int(-1)  # noqa: RUF046, UP018  (a variable of the kernel)
     if sample.scale > 0.0 and sample.dome >= 0:
         looked_up = tree_density(tree, sample.dome, sample.texel, normal[n], wrap, mix)
         found = dome_texel_towards(tree, sample.dome, sample.direction)

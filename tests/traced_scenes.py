@@ -365,7 +365,7 @@ BASIS = np.array([
 
 
 def cup(sides: int = 16, inner: float = 0.8, outer: float = 1.0, height: float = 1.2) -> Any:
-    """Points and faces of a cup around y, open at the top, with walls and a floor that are thick."""
+    """Points and faces of a cup around y, open at the top; its walls and floor are solid."""
     ring = 2 * np.pi * np.arange(sides) / sides
     circle = np.stack([np.cos(ring), np.zeros(sides), -np.sin(ring)], -1)
     up = np.array([0.0, 1.0, 0.0])

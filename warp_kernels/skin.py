@@ -238,7 +238,7 @@ def passage_entry(materials: Materials, material: wp.int32, thickness: wp.float3
     """Return where a path length [m] lies in the material's table of exp(-s delta)."""
     scale = materials.passage_scale[material]
     s = wp.max(thickness, 0.0)
-    return wp.min(s / (s + scale[0]) * scale[1], wp.float32(materials.passage.shape[1] - 1))
+    return wp.min(wp.log(1.0 + s / scale[0]) * scale[1], wp.float32(materials.passage.shape[1] - 1))
 
 
 @wp.func

@@ -188,10 +188,10 @@ class Materials:
     [material_count]."""
 
     passage: wp.array3d[wp.float32]
-    """f_k over s / (s + scale), in equal steps, shape [material_count, entry_count, rank]."""
+    """f_k over log(1 + s / scale), in equal steps, shape [material_count, entry_count, rank]."""
 
     passage_scale: wp.array[wp.vec2f]
-    """(scale [m], entries per unit of s / (s + scale)); (1, 0) where s is constant, shape
+    """(scale [m], entries per unit of log(1 + s / scale)); (1, 0) where s is constant, shape
     [material_count]."""
 
     passage_limit: wp.array[wp.float32]

@@ -66,16 +66,16 @@ class Passage:
     """exp(-s delta(lambda)) = sum_k f_k(s) g_k(lambda), the way of light through a body."""
 
     table: FloatArray
-    """f_k over s / (s + scale) in equal steps from 0, shape [entry_count, rank]."""
+    """f_k over log(1 + s / scale) in equal steps from 0, shape [entry_count, rank]."""
 
     spectra: FloatArray
     """g_k, shape [rank, bands]."""
 
     scale: float
-    """Path length in the middle of the table's axis [m]."""
+    """Path length below which the table's axis is nearly straight in s [m]."""
 
     last: float
-    """s / (s + scale) of the table's last entry; 0 where the path length is constant."""
+    """log(1 + s / scale) of the table's last entry; 0 where the path length is constant."""
 
     limit: float
     """Path length beyond which less than ``LEAST_CLEAR`` is left in every band [m]."""
@@ -282,10 +282,10 @@ def _passage(
     limit = _limit(opacity)
     if largest <= 0.0:
         return Passage(np.ones((1, 1)), np.exp(-skin.thickness * opacity)[None], 1.0, 0.0, limit)
-    scale = 1.0 / float(np.median(opacity[opacity > 0.0]))
-    last = 1.0 - 1e-9 if np.isinf(largest) else min(largest / (largest + scale), 1.0 - 1e-9)
-    place = np.linspace(0.0, last, PASSAGE_ENTRIES)
-    exact = np.exp(-(scale * place / (1.0 - place))[:, None] * opacity)
+    # In equal steps of log(1 + s / scale) a band's error does not depend on its opacity.
+    scale = 0.5 / float(opacity.max())
+    last = float(np.log1p(min(largest, 12.0 / float(opacity[opacity > 0.0].min())) / scale))
+    exact = np.exp(-(scale * np.expm1(np.linspace(0.0, last, PASSAGE_ENTRIES)))[:, None] * opacity)
     left, sizes, right = np.linalg.svd(exact, full_matrices=False)
     for rank in range(1, len(sizes) + 1):
         table = left[:, :rank] * sizes[:rank]
