@@ -11,7 +11,7 @@ import warp as wp
 
 from usdskin.warp_kernels.lookup import latlong_coordinates
 from usdskin.warp_kernels.sampling import tangent_of
-from usdskin.warp_kernels.skin import Point, Reflection, base_weight, deposit
+from usdskin.warp_kernels.skin import Point, Reflection, base_weight
 from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
 
 wp.set_module_options({"enable_backward": False})
@@ -49,9 +49,10 @@ def deposit_transfer(
         value = at[0] * geometry.transfer[first, column]
         value += at[1] * geometry.transfer[second, column]
         value += at[2] * geometry.transfer[third, column]
-        for j in range(bases):
-            row = (column / groups * bases + j) * groups + column % groups
-            deposit(materials, film, pixel, m, row, base_weight(r.low, r.high, j) * value)
+        if wp.dot(value, value) > 0.0:
+            for j in range(bases):
+                row = (column / groups * bases + j) * groups + column % groups
+                film.channel[pixel, row] += base_weight(r.low, r.high, j) * value
 
 
 @wp.func

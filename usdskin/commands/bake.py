@@ -23,7 +23,7 @@ _PATH = click.Path(path_type=Path)
     "--directions",
     type=int,
     metavar="N",
-    help="Directions looked in from every vertex.  [default: 2048]",
+    help="Directions looked in from every vertex.  [default: 1024]",
 )
 @click.option(
     "--receivers",

@@ -39,7 +39,7 @@ from usdskin.warp_kernels import transfer
 # After ours, which register the schemas.
 from pxr import Sdf, Usd, UsdGeom
 
-DEFAULT_DIRECTIONS = 2048
+DEFAULT_DIRECTIONS = 1024
 DIRECTIONS_RANGE = (64, 32768)
 
 STEP = "bakeTransfer"
