@@ -9,6 +9,9 @@ from __future__ import annotations
 import time as clock
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from usdskin import compilation
 from usdskin.device import Workers, open_workers
 from usdskin.errors import FramesError, UsdSkinError
@@ -17,17 +20,25 @@ from usdskin.notes import Note
 from usdskin.progress import Progress
 from usdskin.render.aovs import MATTES, TRACED_SOURCES
 from usdskin.render.cameras import read_camera
+from usdskin.render.changes import EVERYTHING, find_changes
 from usdskin.render.checkpoint import KEEP_EVERY_S, Checkpoint, fingerprint, partial_path
 from usdskin.render.cryptomatte import collect_mattes
+from usdskin.render.frame_cache import FrameCache
 from usdskin.render.integrate import DeviceScene, collect_data, integrate, picture_kernels
-from usdskin.render.light_maps import LightField
 from usdskin.render.opening import opened
 from usdskin.render.outputs import Shot, matte_names, previewing, write_picture
 from usdskin.render.overrides import RenderOverrides, apply_overrides
 from usdskin.render.products import Product, prepare_folders
 from usdskin.render.scene import Scene, read_scene, scene_white, upload
 from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
-from usdskin.render.traced import Sampling, integrate_traced, sampling_key, trace_lights
+from usdskin.render.traced import (
+    Sampling,
+    TracedLights,
+    integrate_traced,
+    sampling_key,
+    trace_lights,
+    turn_traced_lights,
+)
 
 # isort: split
 # After ours, which register the schemas.
@@ -57,13 +68,15 @@ def render_stage(
         apply_overrides(stage, overrides)
         job = resolve_settings(stage, overrides, output, report.notes)
         prepare_folders(file for product in job.products for file in product.files)
+        cache = FrameCache(find_changes(stage) if len(job.frames) > 1 else EVERYTHING)
         workers = open_workers(job.settings.device, job.settings.threads)
         _lap(report.seconds, "open", begun)
         try:
             for frame in job.frames:
                 try:
-                    _render_frame(stage, job, frame, workers, progress, report)
+                    _render_frame(stage, job, frame, workers, progress, report, cache)
                 except UsdSkinError as error:
+                    cache.forget()
                     if len(job.frames) == 1:
                         raise
                     report.failures[f"{frame.number:g}"] = str(error)
@@ -88,6 +101,7 @@ def _render_frame(
     workers: Workers,
     progress: Progress,
     report: RenderReport,
+    cache: FrameCache,
 ) -> None:
     wanted = [(product, _files(product, frame, job)) for product in job.products]
     wanted = [(product, files) for product, files in wanted if files]
@@ -101,7 +115,7 @@ def _render_frame(
         workers.device,
         progress,
     )
-    scene = read_scene(stage, frame.time, job.settings, report.notes)
+    scene = read_scene(stage, frame.time, job.settings, report.notes, cache)
     begun = _lap(seconds, "read", begun)
     # Straight alpha needs the dome hidden, and every EXR has alpha.
     show_dome = job.settings.dome == "show"
@@ -114,13 +128,34 @@ def _render_frame(
         brute=brute,
         traced=traced,
         bounces=job.settings.bounces,
+        cache=cache,
     )
+    white = cache.of_lights("white", scene, lambda: scene_white(scene))
+    traced_lights = None
+    if traced:
+        traced_lights = cache.of_lights(
+            "traced",
+            scene,
+            lambda: trace_lights(scene.lights, light, scene.frame, workers.device),
+            lambda found, lights: turn_traced_lights(found, lights, workers.device),
+        )
     begun = _lap(seconds, "bake", begun)
     compilation.finish()
     _lap(seconds, "compile", begun)
     for product, files in wanted:
         _render_product(
-            stage, job, frame, product, files, scene, device_scene, light, workers, progress, report
+            stage,
+            job,
+            frame,
+            product,
+            files,
+            scene,
+            device_scene,
+            white,
+            traced_lights,
+            workers,
+            progress,
+            report,
         )
 
 
@@ -147,7 +182,8 @@ def _render_product(
     files: dict[str, Path],
     scene: Scene,
     device_scene: DeviceScene,
-    light: LightField,
+    white: NDArray[np.float64],
+    traced_lights: TracedLights | None,
     workers: Workers,
     progress: Progress,
     report: RenderReport,
@@ -163,7 +199,6 @@ def _render_product(
         product.conform_policy,
         report.notes,
     )
-    white = scene_white(scene)
     shot = Shot(
         Path(stage.GetRootLayer().identifier).name,
         frame.number,
@@ -184,10 +219,10 @@ def _render_product(
     )
     sources = {aov.source for aov in product.aovs}
     spectral, show_dome = product.spectral is not None, settings.dome == "show"
-    if settings.integrator == "traced":
+    if traced_lights is not None:
         picture = integrate_traced(
             device_scene,
-            trace_lights(scene.lights, light, scene.frame, workers.device),
+            traced_lights,
             camera,
             product.resolution,
             Sampling(

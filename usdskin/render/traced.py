@@ -8,7 +8,7 @@ in one tile. So the picture is the same whatever the tiles, threads or their ord
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from usdskin import compilation
-from usdskin.device import Workers
+from usdskin.device import Workers, vec3
 from usdskin.progress import Progress
 from usdskin.render.cameras import Camera
 from usdskin.render.checkpoint import Checkpoint, keeping
@@ -94,6 +94,10 @@ class TracedLights:
     first_local: int
     """Number of the first of them in the light links."""
 
+    upright: NDArray[np.float32] | None
+    """Centers of the tree's nodes in the frame of the only dome, shape [node_count, 3]; None where
+    there are other lights, or domes, which need not turn with it."""
+
 
 def trace_lights(
     lights: Lights, field: LightField, frame: SpectralFrame, device: str
@@ -108,9 +112,36 @@ def trace_lights(
     """
     if field.local is None:
         raise ValueError("the light field was built without its local lights")
-    tree = build_light_tree(lights, luminances(field, frame), device)
     first = len(lights.domes) + len(lights.distants)
-    return TracedLights(tree, field.local.device_lights, first)
+    is_alone = first == len(lights.domes) == 1
+    built = lights
+    if is_alone:
+        built = replace(lights, domes=(replace(lights.domes[0], to_world=np.eye(3)),))
+    tree = build_light_tree(built, luminances(field, frame), device)
+    upright = tree.node_center.numpy() if is_alone else None
+    found = TracedLights(tree, field.local.device_lights, first, upright)
+    turn_traced_lights(found, lights, device)
+    return found
+
+
+def turn_traced_lights(found: TracedLights, lights: Lights, device: str) -> TracedLights | None:
+    """Turn a tree as its dome is turned now.
+
+    Args:
+        found: Prepared lights; they are changed.
+        lights: The lights as they are turned now.
+        device: Where to.
+
+    Returns:
+        ``found``; None where the tree has to be built anew.
+    """
+    if found.upright is None:
+        return None
+    to_world = lights.domes[0].to_world
+    found.tree.node_center = vec3(found.upright @ to_world.T, device)
+    turns = to_world.astype(np.float32)[None]
+    found.tree.dome_to_world = wp.array(turns, dtype=wp.mat33f, device=device)
+    return found
 
 
 def sampling_key(seed: int, frame: float | None) -> int:
