@@ -7,6 +7,7 @@ Writes: the files its products name (``usdskin.render.outputs``); nothing of the
 from __future__ import annotations
 
 import time as clock
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from usdskin.render.changes import EVERYTHING, find_changes
 from usdskin.render.checkpoint import KEEP_EVERY_S, Checkpoint, fingerprint, partial_path
 from usdskin.render.cryptomatte import collect_mattes
 from usdskin.render.frame_cache import FrameCache
+from usdskin.render.frame_writer import FrameWriter
 from usdskin.render.integrate import DeviceScene, collect_data, integrate, picture_kernels
 from usdskin.render.opening import opened
 from usdskin.render.outputs import Shot, matte_names, previewing, write_picture
@@ -71,15 +73,21 @@ def render_stage(
         cache = FrameCache(find_changes(stage) if len(job.frames) > 1 else EVERYTHING)
         workers = open_workers(job.settings.device, job.settings.threads)
         _lap(report.seconds, "open", begun)
+
+        def failed(number: float | None, error: UsdSkinError) -> None:
+            if len(job.frames) == 1:
+                raise error
+            report.failures[f"{number:g}"] = str(error)
+
         try:
-            for frame in job.frames:
-                try:
-                    _render_frame(stage, job, frame, workers, progress, report, cache)
-                except UsdSkinError as error:
-                    cache.forget()
-                    if len(job.frames) == 1:
-                        raise
-                    report.failures[f"{frame.number:g}"] = str(error)
+            with FrameWriter(failed) as writer:
+                for frame in job.frames:
+                    try:
+                        _render_frame(stage, job, frame, workers, progress, report, cache, writer)
+                    except UsdSkinError as error:
+                        cache.forget()
+                        writer.settle()  # the frame before comes first
+                        failed(frame.number, error)
         finally:
             compilation.abandon()
     if report.failures and len(report.failures) == len(job.frames):
@@ -102,6 +110,7 @@ def _render_frame(
     progress: Progress,
     report: RenderReport,
     cache: FrameCache,
+    writer: FrameWriter,
 ) -> None:
     wanted = [(product, _files(product, frame, job)) for product in job.products]
     wanted = [(product, files) for product, files in wanted if files]
@@ -156,6 +165,7 @@ def _render_frame(
             workers,
             progress,
             report,
+            writer,
         )
 
 
@@ -187,6 +197,7 @@ def _render_product(
     workers: Workers,
     progress: Progress,
     report: RenderReport,
+    writer: FrameWriter,
 ) -> None:
     settings, seconds = job.settings, report.seconds
     begun = clock.perf_counter()
@@ -269,12 +280,19 @@ def _render_product(
             matte_names(shot),
             workers,
         )
-    begun = _lap(seconds, "render", begun)
-    report.paths.extend(
-        write_picture(product, files, picture, data, device_scene, camera, settings, shot)
-    )
-    checkpoint.remove()
-    _lap(seconds, "write", begun)
+    _lap(seconds, "render", begun)
+    faces = replace(device_scene, keep=())  # what is drawn next need not share the memory
+
+    def write() -> None:
+        begun = clock.perf_counter()
+        report.paths.extend(
+            write_picture(product, files, picture, data, faces, camera, settings, shot)
+        )
+        checkpoint.remove()
+        _lap(seconds, "write", begun)
+
+    arrays = (picture.xyza, picture.spectrum, *picture.extra.values(), *data.values())
+    writer.put(frame.number, sum(each.nbytes for each in arrays if each is not None), write)
 
 
 def _lap(seconds: dict[str, float], part: str, begun: float) -> float:
