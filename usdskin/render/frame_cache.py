@@ -7,9 +7,10 @@ frame. Parts are told apart by identity: what was not read again is the same obj
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from usdskin.device import copied
 from usdskin.notes import Note
 from usdskin.render.changes import EVERYTHING, Changes
 from usdskin.render.light_maps import LightField, stand_domes
@@ -17,6 +18,7 @@ from usdskin.render.lights import Lights, only_turned, turn_lights
 from usdskin.render.materials import SkinMaterial, SurfaceMaterial
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.surfaces import Surfaces
+from usdskin.warp_kernels import structs
 
 # isort: split
 # After ours, which register the schemas.
@@ -89,11 +91,18 @@ class FrameCache:
     # --- The device ------------------------------------------------------------------------------
 
     def geometry(self, scene: Scene) -> Any:
-        """Return what was uploaded of a scene's meshes, or None."""
-        return self._geometry if self._is_shaped(scene) else None
+        """Return what was uploaded of a scene's meshes, None where they are to be uploaded.
+
+        Its first part is a struct of the caller's own, sharing the arrays.
+        """
+        if self._geometry is None or not self._is_shaped(scene):
+            return None
+        return copied(self._geometry[0], structs.Geometry), *self._geometry[1:]
 
     def light(self, scene: Scene, device: str, brute: bool) -> LightField | None:
         """Return the light of a scene, turned as its domes are now, None where it is to be baked.
+
+        Its struct is the caller's own, sharing the arrays.
 
         Args:
             scene: The scene.
@@ -103,11 +112,11 @@ class FrameCache:
         if self._light is None or self._lights is None or not self._is_made_of(scene):
             return None
         if scene.lights is self._lights:
-            return self._light
+            mine = copied(self._light.device_lights, structs.Lights)
+            return replace(self._light, device_lights=mine)
         if brute or not only_turned(scene.lights, self._lights):
             return None
-        stand_domes(self._light, scene.lights, device)
-        return self._light
+        return stand_domes(self._light, scene.lights, device)
 
     def surfaces(self, scene: Scene, light: LightField, *tables: Any) -> Surfaces | None:
         """Return the material tables under a light, None where they have to be built.
@@ -117,7 +126,9 @@ class FrameCache:
             light: The light.
             tables: What else they are built for.
         """
-        same = light is self._light and self._is_made_of(scene) and tables == self._surfaces_for
+        if self._light is None or not self._is_made_of(scene):
+            return None
+        same = light.basis is self._light.basis and tables == self._surfaces_for
         return self._surfaces if same else None
 
     def of_lights(

@@ -2,7 +2,7 @@
 
 Reads: ``Lights``. Makes: ``LightField``, the kernels' ``Lights`` struct with the spectra of its
 channels: smooth maps of each dome, and the small bright lamps that are evaluated by themselves.
-Maps and lamps of a dome are in its own frame; ``stand_domes`` tells the kernels how it is turned.
+Maps and lamps of a dome are in its own frame; the kernels are told how it is turned.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from usdskin.colorimetry import xyz_weights
-from usdskin.device import Workers, vec3, vec4
+from usdskin.device import Workers, copied, vec3, vec4
 from usdskin.errors import UsageError
 from usdskin.render.environment import (
     Environment,
@@ -144,18 +144,25 @@ def build_light_field(
     light = LightField(
         field, basis, tuple(blocks), tuple(sizes), tuple(errors), tuple(lamps), local
     )
-    stand_domes(light, lights, device)
+    _stand(light, lights, device)
     return light
 
 
-def stand_domes(light: LightField, lights: Lights, device: str) -> None:
-    """Tell the kernels how domes are turned and where distant lights are; their light stays.
+def stand_domes(light: LightField, lights: Lights, device: str) -> LightField:
+    """Return the light of domes and distant lights that have been turned; their maps stay.
 
     Args:
-        light: Of these lights, however they were turned when it was built.
+        light: Of these lights, however they were turned when it was built; it is not changed.
         lights: The lights as they are turned now.
         device: Where to.
     """
+    turned = replace(light, device_lights=copied(light.device_lights, structs.Lights))
+    _stand(turned, lights, device)
+    return turned
+
+
+def _stand(light: LightField, lights: Lights, device: str) -> None:
+    """Tell the kernels how domes are turned and where distant lights are."""
     groups = int(light.device_lights.group_count)
     lamps: list[Lamps] = []
     for dome in lights.domes:

@@ -16,7 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from usdskin import compilation
-from usdskin.device import Workers, vec3
+from usdskin.device import Workers, copied, vec3
 from usdskin.progress import Progress
 from usdskin.render.cameras import Camera
 from usdskin.render.checkpoint import Checkpoint, keeping
@@ -120,28 +120,28 @@ def trace_lights(
     tree = build_light_tree(built, luminances(field, frame), device)
     upright = tree.node_center.numpy() if is_alone else None
     found = TracedLights(tree, field.local.device_lights, first, upright)
-    turn_traced_lights(found, lights, device)
-    return found
+    return turn_traced_lights(found, lights, device) or found
 
 
 def turn_traced_lights(found: TracedLights, lights: Lights, device: str) -> TracedLights | None:
-    """Turn a tree as its dome is turned now.
+    """Return lights whose only dome has been turned.
 
     Args:
-        found: Prepared lights; they are changed.
+        found: Prepared lights.
         lights: The lights as they are turned now.
         device: Where to.
 
     Returns:
-        ``found``; None where the tree has to be built anew.
+        The lights, sharing arrays with ``found``; None where the tree has to be built anew.
     """
     if found.upright is None:
         return None
     to_world = lights.domes[0].to_world
-    found.tree.node_center = vec3(found.upright @ to_world.T, device)
+    tree = copied(found.tree, light_tree.LightTree)
+    tree.node_center = vec3(found.upright @ to_world.T, device)
     turns = to_world.astype(np.float32)[None]
-    found.tree.dome_to_world = wp.array(turns, dtype=wp.mat33f, device=device)
-    return found
+    tree.dome_to_world = wp.array(turns, dtype=wp.mat33f, device=device)
+    return replace(found, tree=tree)
 
 
 def sampling_key(seed: int, frame: float | None) -> int:
