@@ -26,7 +26,7 @@ from usdskin.render.lights import DomeLight, Lights
 from usdskin.render.texels import factorize
 from usdskin.render.zonal_maps import MAP_ERROR_TARGET, integrate_normals, to_device
 from usdskin.warp_kernels import structs
-from usdskin.warp_kernels.lookup import latlong_coordinates
+from usdskin.warp_kernels.lookup import frame_coordinates
 from usdskin.warp_kernels.skin import diffuse_light
 
 FloatArray = NDArray[np.float64]
@@ -71,8 +71,10 @@ def _look_up_kernel(
     """Read J1, J2 and H as the picture kernels do. Launch dimension: [normal_count]."""
     i = wp.tid()
     n = normal[i]
+    at = wp.vec2f(0.0, 0.0)
     for group in range(lights.group_count):
-        light = diffuse_light(lights, wrap_set, 3, group, n, latlong_coordinates(n))
+        at = frame_coordinates(lights, group, n, at)
+        light = diffuse_light(lights, wrap_set, 3, group, n, at)
         light_out[0, i, group] = light.lambert
         light_out[1, i, group] = light.wrap
         light_out[2, i, group] = light.front
@@ -209,7 +211,7 @@ def test_the_error_a_map_reports_is_no_smaller_than_what_others_find(
     field.device_lights.map_offset.fill_(-1)
     smooth = everything - look_up(field, normals, 0, 3, workers.device)[:2]
     tree = to_device(dome_environment(light), workers.device)
-    exact = integrate_normals(tree, normals, wrap, 1, workers)[:2, 0, :, :3]
+    exact = integrate_normals(tree, normals @ TURN, wrap, 1, workers)[:2, 0, :, :3]
     error = np.linalg.norm(smooth - exact, axis=-1).max()
     measured = error / np.linalg.norm(everything, axis=-1).max()
     rounding = 2e-6

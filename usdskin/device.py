@@ -115,6 +115,19 @@ def open_workers(device: str = "auto", threads: int | None = None) -> Workers:
     return Workers("cpu", threads or os.cpu_count() or 1)
 
 
+def copied(struct: Any, kind: Any) -> Any:
+    """Return a copy of a Warp struct that shares its arrays.
+
+    Args:
+        struct: The struct.
+        kind: The type it is an instance of.
+    """
+    result = kind()
+    for name in kind.vars:
+        setattr(result, name, getattr(struct, name))
+    return result
+
+
 def vec3(values: NDArray[Any], device: str) -> wp.array:
     """Copy values of shape [count, 3] to a device."""
     return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.vec3f, device=device)

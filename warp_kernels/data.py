@@ -6,7 +6,7 @@ import warp as wp
 
 from usdskin.warp_kernels.detail import relieved
 from usdskin.warp_kernels.film import MAX_LAYERS, camera_ray, surface_point
-from usdskin.warp_kernels.lookup import latlong_coordinates
+from usdskin.warp_kernels.lookup import frame_coordinates
 from usdskin.warp_kernels.skin import Point, diffuse_light, read_input
 from usdskin.warp_kernels.structs import (
     INPUT_BASE,
@@ -45,9 +45,10 @@ class DataTile:
 def _irradiance(lights: Lights, materials: Materials, point: Point) -> wp.vec3f:
     """Return the XYZ of J1; the dome's rows are the light channels' own spectra."""
     first = materials.row[materials.kind.shape[0] - 1]
-    coordinates = latlong_coordinates(point.normal)
+    coordinates = wp.vec2f(0.0, 0.0)
     total = wp.vec3f(0.0, 0.0, 0.0)
     for g in range(lights.group_count):
+        coordinates = frame_coordinates(lights, g, point.normal, coordinates)
         light = diffuse_light(lights, 0, 1, g, point.normal, coordinates).lambert
         total += wp.vec3f(
             wp.dot(materials.xyz_x[first + g], light),

@@ -74,6 +74,19 @@ def _lookup_grid(
 
 
 @wp.func
+def frame_coordinates(
+    lights: Lights, group: wp.int32, direction: wp.vec3f, before: wp.vec2f
+) -> wp.vec2f:
+    """Return where a group's maps are looked up; ``before`` is where those of the last group are.
+
+    Maps are in the frame of their dome, so that a dome that turns keeps them.
+    """
+    if lights.frame_begins[group] == 0:
+        return before
+    return latlong_coordinates(lights.dome_to_local[group] * direction)
+
+
+@wp.func
 def lookup_gloss(
     lights: Lights, group: wp.int32, alpha: wp.float32, coordinates: wp.vec2f
 ) -> wp.vec4f:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from usdskin.warp_kernels.film import finish_rows
-from usdskin.warp_kernels.skin import Point, shade_skin
+from usdskin.warp_kernels.skin import Point, reflect_skin, shade_skin
 from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
 
 wp.set_module_options({"enable_backward": False})
@@ -29,7 +29,8 @@ def _shade_normals_kernel(
     point = Point()
     point.normal = normal[film.first_pixel + pixel]
     point.view = point.normal
-    shade_skin(geometry, lights, materials, film, pixel, point, 1.0)
+    reflection = reflect_skin(geometry, lights, materials, point, 1.0)
+    shade_skin(geometry, lights, materials, film, pixel, point, reflection, 1.0)
     finish_rows(materials, film, pixel, 0, 1.0)
 
 

@@ -11,7 +11,7 @@ import warp as wp
 
 from usdskin.warp_kernels.lookup import (
     PI,
-    latlong_coordinates,
+    frame_coordinates,
     lookup_fresnel,
     lookup_gloss,
     lookup_map,
@@ -128,7 +128,10 @@ def diffuse_light(
     lights: Lights, wrap_set: wp.int32, kernels: wp.int32, group: wp.int32, normal: wp.vec3f,
     coordinates: wp.vec2f,
 ) -> DiffuseLight:  # fmt: skip
-    """Return the first ``kernels`` of J1, J2 and H at a normal: the smooth maps and the lamps."""
+    """Return the first ``kernels`` of J1, J2 and H at a normal: the smooth maps and the lamps.
+
+    ``coordinates`` is where the group's maps are looked up (``frame_coordinates``).
+    """
     total = DiffuseLight()
     offset = lights.map_offset[wrap_set, 0, group]
     if offset >= 0:
@@ -389,11 +392,12 @@ def shade_skin(
     wrap_set = materials.wrap_set[m]
     wrap = lights.wrap[wrap_set]
     rank = materials.passage_rank[m]
-    coordinates = latlong_coordinates(point.normal)
+    coordinates = wp.vec2f(0.0, 0.0)
     kernels = wp.where(rank > 0, 3, 2)
     span = bases * groups
     y = float(0.0)
     for g in range(groups):
+        coordinates = frame_coordinates(lights, g, point.normal, coordinates)
         light = light_of(lights, wrap_set, kernels, g, point, coordinates)
         j1 = light.lambert
         j2 = light.wrap
@@ -486,10 +490,11 @@ def shade_preview_surface(
     """Deposit the diffuse part of a UsdPreviewSurface under unshadowed light; return its Y."""
     m = point.material
     groups = lights.group_count
-    coordinates = latlong_coordinates(point.normal)
+    coordinates = wp.vec2f(0.0, 0.0)
     wrap_set = materials.wrap_set[m]
     y = float(0.0)
     for g in range(groups):
+        coordinates = frame_coordinates(lights, g, point.normal, coordinates)
         j1 = light_of(lights, wrap_set, 1, g, point, coordinates).lambert
         for j in range(materials.weight_count[m]):
             value = (r.diffuse * base_weight(r.low, r.high, j)) * j1
@@ -508,9 +513,10 @@ def shade_gloss(
     groups = lights.group_count
     row = first_glossy_row(lights, materials, m)
     mirror = wp.normalize(2.0 * r.nv * point.normal - point.view)
-    toward = latlong_coordinates(mirror)
+    toward = wp.vec2f(0.0, 0.0)
     y = float(0.0)
     for g in range(groups):
+        toward = frame_coordinates(lights, g, mirror, toward)
         light = (1.0 - r.second) * _lobe(lights, g, r.alpha, point, r.nv, toward, r.f0, 1.0)
         if r.second > 0.0:
             light += r.second * _lobe(lights, g, r.second_alpha, point, r.nv, toward, r.f0, 1.0)

@@ -59,7 +59,6 @@ def _prefilter_kernel(
     # In:
     texel: wp.array[wp.vec4f],
     level: wp.array[wp.vec3i],
-    to_local: wp.mat33f,
     alpha: wp.float32,
     rows: wp.int32,
     offset: wp.int32,
@@ -76,7 +75,6 @@ def _prefilter_kernel(
     Args:
         texel: Latlong texels of all levels [coefficient].
         level: (offset, width, height) of each level.
-        to_local: Rotation from world space to the dome's frame.
         alpha: GGX alpha; 0 copies the environment.
         rows: H of the node grid.
         offset: First node of this launch.
@@ -84,7 +82,7 @@ def _prefilter_kernel(
     """
     node = offset + wp.tid()
     stride = 2 * rows + 1
-    axis = to_local * _node_direction(node / stride, node % stride, rows)
+    axis = _node_direction(node / stride, node % stride, rows)
     base = level[0]
     texel_angle = 2.0 * PI * PI / wp.float32(base[1] * base[2])
     if alpha < 1.0e-3:
@@ -123,7 +121,6 @@ def _prefilter_kernel(
 def prefilter(
     texel: wp.array[wp.vec4f],
     level: wp.array[wp.vec3i],
-    to_local: wp.mat33f,
     alpha: float,
     rows: int,
     value_out: wp.array[wp.vec4f],
@@ -134,7 +131,7 @@ def prefilter(
     wp.launch(
         _prefilter_kernel,
         dim=end - begin,
-        inputs=[texel, level, to_local, alpha, rows, begin],
+        inputs=[texel, level, alpha, rows, begin],
         outputs=[value_out],
         device=value_out.device,
     )

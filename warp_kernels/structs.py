@@ -152,7 +152,12 @@ class Lights:
     """Shape [group_count]; the offset is -1 where no dome is seen."""
 
     dome_to_local: wp.array[wp.mat33f]
-    """World to light frame of each group's dome, shape [group_count]."""
+    """World to light frame of each group's dome, in which its maps and reflections are, shape
+    [group_count]."""
+
+    frame_begins: wp.array[wp.int32]
+    """1 where a group is the first of its dome, 0 where the frame is that of the group before or
+    the group has no maps, shape [group_count]."""
 
     links: LightLinks
 

@@ -6,7 +6,7 @@ import warp as wp
 
 from usdskin.warp_kernels.film import Ray, surface_point
 from usdskin.warp_kernels.light_tree import light_number, sample_tree, tree_light
-from usdskin.warp_kernels.lookup import latlong_coordinates
+from usdskin.warp_kernels.lookup import frame_coordinates
 from usdskin.warp_kernels.sampling import TWO_PI, around, hash_pair, low_discrepancy
 from usdskin.warp_kernels.skin import (
     Point,
@@ -102,10 +102,11 @@ def bounce(
             lost = 1.0
     rank = materials.passage_rank[h]
     kernels = wp.where(rank > 0, 3, passes)
-    coordinates = latlong_coordinates(other.normal)
+    coordinates = wp.vec2f(0.0, 0.0)
     groups = lights.group_count
     y = float(0.0)
     for g in range(groups):
+        coordinates = frame_coordinates(lights, g, other.normal, coordinates)
         light = light_of(lights, materials.wrap_set[h], kernels, g, other, coordinates)
         j1 = light.lambert
         j2 = light.wrap

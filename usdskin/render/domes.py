@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +60,9 @@ class DomeLight:
     absolute: bool
     """Whether radiance is in W m^-2 sr^-1 nm^-1."""
 
+    is_mirrored: bool = False
+    """Whether the prim's transform mirrors, and ``coefficients`` therefore are (u to 1 - u)."""
+
 
 def read_dome(light: LightPrim, to_world: NDArray[np.float64], context: Context) -> DomeLight:
     """Read a dome light.
@@ -100,7 +103,29 @@ def read_dome(light: LightPrim, to_world: NDArray[np.float64], context: Context)
         basis=basis,
         to_world=rotation,
         absolute=light.is_absolute,
+        is_mirrored=is_mirrored,
     )
+
+
+def turn_dome(
+    dome: DomeLight, prim: Usd.Prim, to_world: NDArray[np.float64], context: Context
+) -> DomeLight | None:
+    """Return a dome whose transform alone has changed, with the arrays it had.
+
+    Args:
+        dome: The light as it was read.
+        prim: Its prim.
+        to_world: Its local-to-world transform now, column vectors, shape [4, 4].
+        context: How lights are read.
+
+    Returns:
+        The dome; None where its map is mirrored now and was not, or the other way around.
+
+    Raises:
+        LayerError: The transform cannot be used.
+    """
+    rotation, is_mirrored = _rotation(prim, to_world, context)
+    return replace(dome, to_world=rotation) if is_mirrored == dome.is_mirrored else None
 
 
 def _refuse_irradiance(light: LightPrim, quantity: SpectralQuantity) -> None:

@@ -36,6 +36,8 @@ def add_reflections(
 ) -> None:
     """Prefilter every dome for the given GGX alphas, ascending; none leaves reflections black.
 
+    Reflections are in the frame of their dome.
+
     Args:
         field: Where the reflections go.
         lights: The domes.
@@ -59,7 +61,7 @@ def add_reflections(
             for k, alpha in enumerate(alphas):
                 size = _grid_rows(alpha, dome.coefficients.shape[0])
                 offsets[k, first + g], rows[k, first + g] = used, size
-                parts.append(_prefilter(texel, level, dome.to_world, alpha, size, workers))
+                parts.append(_prefilter(texel, level, alpha, size, workers))
                 used += len(parts[-1])
         first += count
     flat = np.concatenate(parts) if parts else np.zeros((0, 4), np.float32)
@@ -76,7 +78,6 @@ def show_domes(field: structs.Lights, lights: Lights, show: bool, device: str) -
     groups = int(field.group_count)
     offsets = np.full(groups, -1, np.int32)
     rows, columns = np.zeros(groups, np.int32), np.zeros(groups, np.int32)
-    to_local = np.tile(np.eye(3, dtype=np.float32), (groups, 1, 1))
     parts: list[NDArray[np.float32]] = []
     used, first = 0, 0
     for dome in lights.domes if show else ():
@@ -84,7 +85,6 @@ def show_domes(field: structs.Lights, lights: Lights, show: bool, device: str) -
             image = _group_image(dome.coefficients, g)
             offsets[first] = used
             rows[first], columns[first] = image.shape[:2]
-            to_local[first] = dome.to_world.T
             parts.append(image.reshape(-1, 4))
             used += len(parts[-1])
             first += 1
@@ -93,7 +93,6 @@ def show_domes(field: structs.Lights, lights: Lights, show: bool, device: str) -
     field.dome_offset = wp.array(offsets, dtype=wp.int32, device=device)
     field.dome_rows = wp.array(rows, dtype=wp.int32, device=device)
     field.dome_columns = wp.array(columns, dtype=wp.int32, device=device)
-    field.dome_to_local = wp.array(to_local, dtype=wp.mat33f, device=device)
 
 
 @functools.cache
@@ -165,7 +164,6 @@ def _pyramid(
 def _prefilter(
     texel: NDArray[np.float32],
     level: NDArray[np.int32],
-    to_world: NDArray[np.float64],
     alpha: float,
     rows: int,
     workers: Workers,
@@ -177,10 +175,9 @@ def _prefilter(
     texels = wp.array(texel, dtype=wp.vec4f, device=device)
     levels = wp.array(level, dtype=wp.vec3i, device=device)
     out = wp.empty(count, dtype=wp.vec4f, device=device)
-    to_local = wp.mat33f(*to_world.T.astype(np.float32).ravel().tolist())
 
     def work(begin: int, end: int) -> None:
-        specular.prefilter(texels, levels, to_local, alpha, rows, out, begin, end)
+        specular.prefilter(texels, levels, alpha, rows, out, begin, end)
 
     workers.run(count, 2048 if device == "cpu" else count, work)
     return np.asarray(out.numpy(), np.float32)

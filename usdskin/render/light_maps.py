@@ -2,6 +2,7 @@
 
 Reads: ``Lights``. Makes: ``LightField``, the kernels' ``Lights`` struct with the spectra of its
 channels: smooth maps of each dome, and the small bright lamps that are evaluated by themselves.
+Maps and lamps of a dome are in its own frame; the kernels are told how it is turned.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from usdskin.colorimetry import xyz_weights
-from usdskin.device import Workers, vec3, vec4
+from usdskin.device import Workers, copied, vec3, vec4
 from usdskin.errors import UsageError
 from usdskin.render.environment import (
     Environment,
@@ -54,17 +55,19 @@ class LightField:
     map_errors: tuple[float, ...]
     """Measured interpolation error of each dome's maps, relative to the peak."""
 
-    lamp_count: int
+    lamps: tuple[Lamps, ...]
+    """Those of the domes in their own frames, group after group."""
+
     local: LocalField | None = None
     """Lights that have a place, where light is traced."""
 
 
 @dataclass(slots=True, eq=False)
-class _Lamps:
+class Lamps:
     """Lamps of one channel group."""
 
     patches: Patches
-    """With the flux of this group alone."""
+    """With the flux of this group alone, in the frame of their dome."""
 
     gloss: int
     """How many of them, the first ones, are reflected by themselves."""
@@ -105,7 +108,7 @@ def build_light_field(
     basis = np.zeros((total, 4, wavelength_count))
     offsets = np.full((len(wraps), 3, total), -1, np.int32)
     rows = np.zeros(total, np.int32)
-    lamps: list[_Lamps] = []
+    lamps: list[Lamps] = []
     values: list[NDArray[np.float32]] = []
     blocks: list[NDArray[np.int64]] = []
     sizes, errors = [], []
@@ -127,10 +130,10 @@ def build_light_field(
             errors.append(error)
         lamps += _dome_lamps(environment, count)
         begin += count
-    lamps += _distant_lamps(lights.distants, basis[begin : begin + distant_groups])
+    for k, distant in enumerate(lights.distants):
+        basis[begin + k // 4, k % 4] = distant.irradiance
     begin += distant_groups
     basis[begin : begin + len(extra)] = extra
-    lamps += [_no_lamps() for _ in range(total - begin)]
     field = structs.Lights()
     field.group_count = total
     flat = np.concatenate(values) if values else np.zeros((0, 4), np.float32)
@@ -138,8 +141,71 @@ def build_light_field(
     field.map_offset = wp.array(offsets, dtype=wp.int32, device=device)
     field.map_rows = wp.array(rows, dtype=wp.int32, device=device)
     field.wrap = wp.array(np.array(wraps, np.float32), dtype=wp.float32, device=device)
-    lamp_count = _upload_lamps(field, lamps, device)
-    return LightField(field, basis, tuple(blocks), tuple(sizes), tuple(errors), lamp_count, local)
+    light = LightField(
+        field, basis, tuple(blocks), tuple(sizes), tuple(errors), tuple(lamps), local
+    )
+    _stand(light, lights, device)
+    return light
+
+
+def stand_domes(light: LightField, lights: Lights, device: str) -> LightField:
+    """Return the light of domes and distant lights that have been turned; their maps stay.
+
+    Args:
+        light: Of these lights, however they were turned when it was built; it is not changed.
+        lights: The lights as they are turned now.
+        device: Where to.
+    """
+    turned = replace(light, device_lights=copied(light.device_lights, structs.Lights))
+    _stand(turned, lights, device)
+    return turned
+
+
+def _stand(light: LightField, lights: Lights, device: str) -> None:
+    """Tell the kernels how domes are turned and where distant lights are."""
+    groups = int(light.device_lights.group_count)
+    lamps: list[Lamps] = []
+    for dome in lights.domes:
+        for mine in light.lamps[len(lamps) : len(lamps) + group_count(dome.coefficients.shape[2])]:
+            lamps.append(Lamps(_turned(mine.patches, dome.to_world), mine.gloss))
+    lamps += _distant_lamps(lights.distants)
+    lamps += [_no_lamps() for _ in range(groups - len(lamps))]
+    _upload_lamps(light.device_lights, lamps, device)
+    _set_frames(light.device_lights, lights.domes, device)
+
+
+def _turned(patches: Patches, to_world: NDArray[np.float64]) -> Patches:
+    turn = to_world.T
+    return Patches(
+        (patches.center @ turn).astype(np.float32),
+        (patches.half_azimuth @ turn).astype(np.float32),
+        (patches.half_elevation @ turn).astype(np.float32),
+        patches.flux,
+    )
+
+
+def _set_frames(
+    field: structs.Lights, domes: tuple[DomeLight, ...], device: str, only: int | None = None
+) -> None:
+    """Hand the frames of the domes, in which the maps are, to the kernels.
+
+    Args:
+        field: Where to.
+        domes: In the order of their channel groups.
+        device: Where to.
+        only: Groups of each dome, if not those of its coefficients.
+    """
+    groups = int(field.group_count)
+    to_local = np.tile(np.eye(3, dtype=np.float32), (groups, 1, 1))
+    begins = np.zeros(groups, np.int32)
+    first = 0
+    for dome in domes:
+        count = only or group_count(dome.coefficients.shape[2])
+        to_local[first : first + count] = dome.to_world.T
+        begins[first] = 1
+        first += count
+    field.dome_to_local = wp.array(to_local, dtype=wp.mat33f, device=device)
+    field.frame_begins = wp.array(begins, dtype=wp.int32, device=device)
 
 
 def build_brute_field(
@@ -173,7 +239,7 @@ def build_brute_field(
     field.map_offset = wp.full((len(wraps), 3, groups), -1, dtype=wp.int32, device=workers.device)
     field.map_rows = wp.zeros(groups, dtype=wp.int32, device=workers.device)
     lamps = [
-        _Lamps(
+        Lamps(
             Patches(
                 np.concatenate([part.center for part in patches]),
                 np.concatenate([part.half_azimuth for part in patches]),
@@ -184,9 +250,10 @@ def build_brute_field(
         )
         for g in range(groups)
     ]
-    count = _upload_lamps(field, lamps, workers.device)
+    _upload_lamps(field, lamps, workers.device)
+    _set_frames(field, lights.domes[:1], workers.device, groups)
     none = tuple(np.zeros((0, 4), np.int64) for _ in lights.domes)
-    return LightField(field, basis, none, (), (), count)
+    return LightField(field, basis, none, (), (), ())
 
 
 def banded(lights: Lights) -> Lights:
@@ -221,9 +288,8 @@ def luminances(light: LightField, frame: SpectralFrame) -> NDArray[np.float64]:
 
 
 def dome_environment(dome: DomeLight, threads: int = 1) -> Environment:
-    """Return the patch tree of a dome, refined where its spectra are strong."""
-    scale = _channel_scale(dome)
-    return build_environment(dome.coefficients, scale, dome.to_world, threads=threads)
+    """Return the patch tree of a dome in its own frame, refined where its spectra are strong."""
+    return build_environment(dome.coefficients, _channel_scale(dome), np.eye(3), threads=threads)
 
 
 def _channel_scale(dome: DomeLight) -> NDArray[np.float64]:
@@ -235,21 +301,19 @@ def _fill_basis(target: NDArray[np.float64], basis: NDArray[np.float64]) -> None
         target[k // 4, k % 4] = spectrum
 
 
-def _distant_lamps(distants: tuple[DistantLight, ...], basis: NDArray[np.float64]) -> list[_Lamps]:
-    """Return the distant lights of each group of four, and fill their groups' spectra."""
-    for k, distant in enumerate(distants):
-        basis[k // 4, k % 4] = distant.irradiance
+def _distant_lamps(distants: tuple[DistantLight, ...]) -> list[Lamps]:
+    """Return the distant lights of each group of four."""
     found = []
     for k in range(0, len(distants), 4):
         some = distants[k : k + 4]
         patches = _distant_patches(some, np.eye(4)[: len(some)])
-        found.append(_Lamps(patches, len(patches.center)))
+        found.append(Lamps(patches, len(patches.center)))
     return found
 
 
-def _no_lamps() -> _Lamps:
+def _no_lamps() -> Lamps:
     none = np.zeros((0, 3), np.float32)
-    return _Lamps(Patches(none, none, none, np.zeros((1, 0, 4), np.float32)), 0)
+    return Lamps(Patches(none, none, none, np.zeros((1, 0, 4), np.float32)), 0)
 
 
 def _distant_patches(distants: tuple[DistantLight, ...], channels: NDArray[np.float64]) -> Patches:
@@ -304,10 +368,10 @@ def _disc_cells(distant: DistantLight) -> NDArray[np.float64]:
     return table
 
 
-def _dome_lamps(environment: Environment, groups: int) -> list[_Lamps]:
+def _dome_lamps(environment: Environment, groups: int) -> list[Lamps]:
     found = environment.lamps
     return [
-        _Lamps(
+        Lamps(
             Patches(found.center, found.half_azimuth, found.half_elevation, found.flux[g : g + 1]),
             environment.gloss_lamp_count,
         )
@@ -315,8 +379,8 @@ def _dome_lamps(environment: Environment, groups: int) -> list[_Lamps]:
     ]
 
 
-def _upload_lamps(field: structs.Lights, lamps: list[_Lamps], device: str) -> int:
-    """Hand the lamps of every group to the kernels; return the number of distinct ones."""
+def _upload_lamps(field: structs.Lights, lamps: list[Lamps], device: str) -> None:
+    """Hand the lamps of every group to the kernels."""
 
     def joined(name: str) -> NDArray[np.float32]:
         parts = [getattr(lamp.patches, name).reshape(-1, 3) for lamp in lamps]
@@ -337,4 +401,3 @@ def _upload_lamps(field: structs.Lights, lamps: list[_Lamps], device: str) -> in
     field.gloss_end = wp.array(
         (end - counts + gloss).astype(np.int32), dtype=wp.int32, device=device
     )
-    return int(counts.sum())

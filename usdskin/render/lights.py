@@ -8,8 +8,8 @@ with ``SpectralLightAPI``. Other kinds of light are noted.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +19,7 @@ from usdskin.colorimetry import DEFAULT_OBSERVER, Observer
 from usdskin.errors import LayerError
 from usdskin.layers import describe
 from usdskin.notes import Note
-from usdskin.render.domes import DomeLight, read_dome
+from usdskin.render.domes import DomeLight, read_dome, turn_dome
 from usdskin.render.light_inputs import (
     Context,
     LightPrim,
@@ -36,7 +36,16 @@ from usdskin.render.texels import BadPixels
 from usdskin.spectrum import SpectralQuantity, check_grid
 from usdskin.uplift import deepest_dip
 
-__all__ = ["DistantLight", "DomeLight", "Lights", "LocalLight", "check_lit", "read_lights"]
+__all__ = [
+    "DistantLight",
+    "DomeLight",
+    "Lights",
+    "LocalLight",
+    "check_lit",
+    "only_turned",
+    "read_lights",
+    "turn_lights",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,6 +162,64 @@ def read_lights(
     return Lights(tuple(domes), tuple(distants), tuple(local))
 
 
+def turn_lights(
+    stage: Usd.Stage,
+    time: Usd.TimeCode,
+    lights: Lights,
+    paths: Collection[str],
+    notes: list[Note],
+) -> Lights | None:
+    """Return lights of which some have been turned since they were read, and nothing else changed.
+
+    Args:
+        stage: The stage.
+        time: Time to read at.
+        lights: The lights at another time.
+        paths: Which of them have other transforms.
+        notes: Takes what cannot be honoured.
+
+    Returns:
+        The lights, sharing the arrays of ``lights``; None where they have to be read again.
+
+    Raises:
+        LayerError: A transform cannot be used.
+    """
+    context = Context(np.zeros(0), time, notes=notes)
+    cache = UsdGeom.XformCache(time)
+    domes, distants = list(lights.domes), list(lights.distants)
+    for k, dome in enumerate(domes):
+        if dome.path in paths:
+            prim = stage.GetPrimAtPath(dome.path)
+            to_world = np.array(cache.GetLocalToWorldTransform(prim)).T
+            turned = turn_dome(dome, prim, to_world, context)
+            if turned is None:
+                return None
+            domes[k] = turned
+    for k, distant in enumerate(distants):
+        if distant.path in paths:
+            prim = stage.GetPrimAtPath(distant.path)
+            to_world = np.array(cache.GetLocalToWorldTransform(prim)).T
+            distants[k] = replace(distant, direction=_towards(prim, to_world))
+    return replace(lights, domes=tuple(domes), distants=tuple(distants))
+
+
+def only_turned(lights: Lights, before: Lights) -> bool:
+    """Return whether lights differ from others at most in how those far away are turned."""
+    if lights is before:
+        return True
+    if [len(kind) for kind in (lights.domes, lights.distants, lights.locals)] != [
+        len(kind) for kind in (before.domes, before.distants, before.locals)
+    ]:
+        return False
+    domes = zip(lights.domes, before.domes, strict=True)
+    distants = zip(lights.distants, before.distants, strict=True)
+    return (
+        all(a.coefficients is b.coefficients and a.basis is b.basis for a, b in domes)
+        and all(a.irradiance is b.irradiance and a.angle_deg == b.angle_deg for a, b in distants)
+        and all(a is b for a, b in zip(lights.locals, before.locals, strict=True))
+    )
+
+
 def check_lit(stage: Usd.Stage, lights: Lights, notes: list[Note]) -> None:
     """Refuse a stage in which nothing shines.
 
@@ -247,13 +314,7 @@ def _read_distant(
             f"{describe(light.prim)}: inputs:spectral:source is {source}, a map, which a distant "
             "light has not; use tabulated, or a DomeLight"
         )
-    direction = to_world[:3, :3] @ np.array([0.0, 0.0, 1.0])
-    length = float(np.linalg.norm(direction))
-    if not (math.isfinite(length) and length > 0.0):
-        raise LayerError(
-            f"{describe(light.prim)}: its transform flattens its axis or is not finite; mend its "
-            "xformOps"
-        )
+    direction = _towards(light.prim, to_world)
     angle = min(max(number(light.prim, "angle", context), 0.0), 360.0)
     if source == "rgb":
         spectrum = rgb_spectra(light, "lin_rec709_scene", context).sum(axis=0)
@@ -278,11 +339,22 @@ def _read_distant(
     check_brightness(light, float(np.abs(irradiance).max()))
     return DistantLight(
         path=light.path,
-        direction=direction / length,
+        direction=direction,
         angle_deg=angle,
         irradiance=irradiance,
         absolute=light.is_absolute,
     )
+
+
+def _towards(prim: Usd.Prim, to_world: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the unit vector towards a distant light."""
+    direction = to_world[:3, :3] @ np.array([0.0, 0.0, 1.0])
+    length = float(np.linalg.norm(direction))
+    if not (math.isfinite(length) and length > 0.0):
+        raise LayerError(
+            f"{describe(prim)}: its transform flattens its axis or is not finite; mend its xformOps"
+        )
+    return np.asarray(direction / length)
 
 
 def _facing_factor(angle_deg: float, normalize: bool) -> float:

@@ -10,6 +10,7 @@ is why automatic exposure keeps 99 % of the picture below it.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -266,6 +267,7 @@ def _white(
     return xyz / xyz[1], white
 
 
+@functools.cache
 def _processor(view: str) -> Any:
     if view not in VIEWS:
         raise UsageError(f"--view {view!r}: no such view; use {', '.join(map(repr, VIEWS))}.")

@@ -9,29 +9,31 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 from usdskin import compilation
 from usdskin.device import Workers, open_workers
-from usdskin.errors import FramesError, UsageError, UsdSkinError
+from usdskin.errors import FramesError, UsdSkinError
 from usdskin.frames import frame_path
 from usdskin.notes import Note
 from usdskin.progress import Progress
 from usdskin.render.aovs import MATTES, TRACED_SOURCES
 from usdskin.render.cameras import Camera, read_camera
+from usdskin.render.changes import EVERYTHING, find_changes
 from usdskin.render.checkpoint import KEEP_EVERY_S, Checkpoint, fingerprint, partial_path
 from usdskin.render.cryptomatte import collect_mattes
+from usdskin.render.frame_cache import FrameCache
+from usdskin.render.frame_writer import FrameWriter
 from usdskin.render.integrate import (
     WHOLE,
-    DeviceScene,
     Picture,
     Share,
     collect_data,
     integrate,
     picture_kernels,
 )
-from usdskin.render.light_maps import LightField
+from usdskin.render.loading import Loaded, Loader
 from usdskin.render.motion import (
     Exposure,
     SharedProgress,
@@ -44,17 +46,8 @@ from usdskin.render.opening import opened
 from usdskin.render.outputs import Shot, matte_names, previewing, write_picture
 from usdskin.render.overrides import RenderOverrides, apply_overrides
 from usdskin.render.products import Product, prepare_folders
-from usdskin.render.scene import Scene, read_scene, scene_white, upload
-from usdskin.render.settings import (
-    Frame,
-    RenderJob,
-    RenderReport,
-    RenderSettings,
-    resolve_settings,
-)
-from usdskin.render.traced import Sampling, integrate_traced, sampling_key, trace_lights
-from usdskin.render.transfer import Transfers, read_transfers
-from usdskin.render.transfer_light import shade_transfers, upload_transfers
+from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
+from usdskin.render.traced import Sampling, integrate_traced, sampling_key
 
 # isort: split
 # After ours, which register the schemas.
@@ -84,16 +77,25 @@ def render_stage(
         apply_overrides(stage, overrides)
         job = resolve_settings(stage, overrides, output, report.notes)
         prepare_folders(file for product in job.products for file in product.files)
+        cache = FrameCache(find_changes(stage) if len(job.frames) > 1 else EVERYTHING)
         workers = open_workers(job.settings.device, job.settings.threads)
+        loader = Loader(stage, job.settings, workers, report, cache)
         _lap(report.seconds, "open", begun)
+
+        def failed(number: float | None, error: UsdSkinError) -> None:
+            if len(job.frames) == 1:
+                raise error
+            report.failures[f"{number:g}"] = str(error)
+
         try:
-            for frame in job.frames:
-                try:
-                    _render_frame(stage, job, frame, workers, progress, report)
-                except UsdSkinError as error:
-                    if len(job.frames) == 1:
-                        raise
-                    report.failures[f"{frame.number:g}"] = str(error)
+            with FrameWriter(failed) as writer:
+                for frame in job.frames:
+                    try:
+                        _render_frame(stage, job, frame, loader, workers, progress, report, writer)
+                    except UsdSkinError as error:
+                        loader.forget()
+                        writer.settle()  # the frame before comes first
+                        failed(frame.number, error)
         finally:
             compilation.abandon()
     if report.failures and len(report.failures) == len(job.frames):
@@ -112,9 +114,11 @@ def _render_frame(
     stage: Usd.Stage,
     job: RenderJob,
     frame: Frame,
+    loader: Loader,
     workers: Workers,
     progress: Progress,
     report: RenderReport,
+    writer: FrameWriter,
 ) -> None:
     wanted = [(product, _files(product, frame, job)) for product in job.products]
     wanted = [(product, files) for product, files in wanted if files]
@@ -129,77 +133,13 @@ def _render_frame(
     exposures = [
         find_exposure(stage, product, frame, job.settings, report.notes) for product, _ in wanted
     ]
-    loader = _Loader(stage, job.settings, workers, report)
     for (product, files), exposure in zip(wanted, exposures, strict=True):
         moved = exposure is not None and exposure.scene_moves
         loaded = loader.load(exposure.middle if exposure and moved else frame.time)
         _render_product(
-            stage, job, frame, product, files, loaded, loader, exposure, workers, progress, report
-        )
-
-
-def _transfers(stage: Usd.Stage, scene: Scene, settings: RenderSettings) -> Transfers | None:
-    """Return the shadows that were baked for a scene, for the integrator that looks them up."""
-    if settings.integrator == "traced":
-        return None
-    transfers = read_transfers(stage, scene, settings)
-    if settings.spectral_method == "brute" and transfers is not None:
-        raise UsageError(
-            "--spectral brute takes no baked shadows; leave the transfer layer out, or render "
-            "with --integrator traced."
-        )
-    return transfers
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Loaded:
-    """A scene at one time, on the host and on the device."""
-
-    scene: Scene
-    device_scene: DeviceScene
-    light: LightField
-
-
-class _Loader:
-    """Reads scenes, and keeps the last one whose time is asked for again."""
-
-    def __init__(
-        self, stage: Usd.Stage, settings: RenderSettings, workers: Workers, report: RenderReport
-    ) -> None:
-        self._stage, self._settings = stage, settings
-        self._workers, self._report = workers, report
-        self._last: tuple[Usd.TimeCode, _Loaded] | None = None
-
-    def load(self, time: Usd.TimeCode, *, keep: bool = True) -> _Loaded:
-        """Return the scene at a time; ``keep`` it for the products to come."""
-        if self._last is not None and self._last[0] == time:
-            return self._last[1]
-        settings, report = self._settings, self._report
-        begun = clock.perf_counter()
-        scene = read_scene(self._stage, time, settings, report.notes)
-        begun = _lap(report.seconds, "read", begun)
-        transfers = _transfers(self._stage, scene, settings)
-        # Straight alpha needs the dome hidden, and every EXR has alpha.
-        device_scene, light = upload(
-            scene,
-            self._workers,
-            show_dome=settings.dome == "show",
-            brute=settings.spectral_method == "brute",
-            traced=settings.integrator == "traced",
-            bounces=settings.bounces,
-            measured=transfers is not None,
-        )
-        begun = _lap(report.seconds, "bake", begun)
-        if transfers is not None:
-            shadows = upload_transfers(transfers, self._workers.device)
-            shade_transfers(shadows, scene.lights, light, device_scene, self._workers)
-            begun = _lap(report.seconds, "shadows", begun)
-        compilation.finish()
-        _lap(report.seconds, "compile", begun)
-        loaded = _Loaded(scene, device_scene, light)
-        if keep:
-            self._last = time, loaded
-        return loaded
+            stage, job, frame, product, files, loaded, loader, exposure, workers, progress, report,
+            writer,
+        )  # fmt: skip
 
 
 def _files(product: Product, frame: Frame, job: RenderJob) -> dict[str, Path]:
@@ -223,12 +163,13 @@ def _render_product(
     frame: Frame,
     product: Product,
     files: dict[str, Path],
-    loaded: _Loaded,
-    loader: _Loader,
+    loaded: Loaded,
+    loader: Loader,
     exposure: Exposure | None,
     workers: Workers,
     progress: Progress,
     report: RenderReport,
+    writer: FrameWriter,
 ) -> None:
     settings, seconds = job.settings, report.seconds
     scene, device_scene = loaded.scene, loaded.device_scene
@@ -243,7 +184,7 @@ def _render_product(
         report.notes,
         product.depth_of_field,
     )
-    white = scene_white(scene)
+    white = loaded.white
     shot = Shot(
         Path(stage.GetRootLayer().identifier).name,
         frame.number,
@@ -265,14 +206,14 @@ def _render_product(
     sources = {aov.source for aov in product.aovs}
 
     def shoot(
-        seen: _Loaded,
+        seen: Loaded,
         camera: Camera,
         progress: Progress,
         share: Share = WHOLE,
         checkpoint: Checkpoint | None = None,
     ) -> Picture:
         spectral, show_dome = product.spectral is not None, settings.dome == "show"
-        if settings.integrator != "traced":
+        if seen.traced is None:
             return integrate(
                 seen.device_scene,
                 camera,
@@ -288,7 +229,7 @@ def _render_product(
             )
         return integrate_traced(
             seen.device_scene,
-            trace_lights(seen.scene.lights, seen.light, seen.scene.frame, workers.device),
+            seen.traced,
             camera,
             product.resolution,
             Sampling(
@@ -343,12 +284,19 @@ def _render_product(
             matte_names(shot),
             workers,
         )
-    begun = _lap(seconds, "render", begun)
-    report.paths.extend(
-        write_picture(product, files, picture, data, device_scene, camera, settings, shot)
-    )
-    checkpoint.remove()
-    _lap(seconds, "write", begun)
+    _lap(seconds, "render", begun)
+    faces = replace(device_scene, keep=())  # what is drawn next need not share the memory
+
+    def write() -> None:
+        begun = clock.perf_counter()
+        report.paths.extend(
+            write_picture(product, files, picture, data, faces, camera, settings, shot)
+        )
+        checkpoint.remove()
+        _lap(seconds, "write", begun)
+
+    arrays = (picture.xyza, picture.spectrum, *picture.extra.values(), *data.values())
+    writer.put(frame.number, sum(each.nbytes for each in arrays if each is not None), write)
 
 
 def _lap(seconds: dict[str, float], part: str, begun: float) -> float:

@@ -18,6 +18,7 @@ from usdskin.errors import LayerError
 from usdskin.layers import describe
 from usdskin.notes import Note
 from usdskin.render.detail import add_detail, detail_primvars, frames_of
+from usdskin.render.frame_cache import FrameCache, Shapes
 from usdskin.render.gloss import LADDER, add_reflections, show_domes
 from usdskin.render.gprims import ROWS, is_gprim, read_gprim, unsupported_note
 from usdskin.render.instance_meshes import instance_meshes
@@ -89,6 +90,7 @@ def read_scene(
     time: Usd.TimeCode,
     settings: RenderSettings,
     notes: list[Note],
+    cache: FrameCache | None = None,
     *,
     unlit: bool = False,
 ) -> Scene:
@@ -99,14 +101,16 @@ def read_scene(
         time: When.
         settings: Purposes, mask, subdivision level, wavelengths.
         notes: What cannot be shown is appended.
+        cache: What the frame before left; its notes are not repeated.
         unlit: Leave the lights out.
 
     Raises:
         LayerError: Something cannot be used, or nothing gives light.
     """
+    kept = FrameCache() if cache is None else cache
     lights = Lights((), ())
     if not unlit:
-        lights = read_lights(
+        lights = kept.lights(stage, time, notes) or read_lights(
             stage,
             time,
             settings.wavelength_nm,
@@ -117,6 +121,26 @@ def read_scene(
             places=settings.integrator == "traced",
         )
         check_lit(stage, lights, notes)
+    shapes = kept.shapes or _read_shapes(stage, time, settings, kept, notes)
+    frame = SpectralFrame(
+        settings.wavelength_nm, settings.observer, lights.absolute, settings.color_space
+    )
+    links = kept.links(lights, shapes.meshes)
+    if links is None:
+        # An instance is linked as its instancer is.
+        linked = [mesh.path.partition("[")[0] for mesh in shapes.meshes]
+        links = read_links(stage, lights.paths, linked, time)
+    return Scene(shapes.meshes, shapes.materials, shapes.material_index, lights, links, frame)
+
+
+def _read_shapes(
+    stage: Usd.Stage,
+    time: Usd.TimeCode,
+    settings: RenderSettings,
+    kept: FrameCache,
+    notes: list[Note],
+) -> Shapes:
+    """Read the meshes and what they are made of."""
     cache = UsdGeom.XformCache(time)
     prims, placed = _visible_shapes(stage, time, settings, cache, notes)
     bindings: dict[str, str | None] = {}
@@ -129,10 +153,7 @@ def read_scene(
         return bindings[path]
 
     paths = _bound_paths([*prims, *(item.prim for item in placed)], material_of)
-    known = read_materials(stage, paths, time, notes, settings.color_space)
-    materials = (*known.values(), display_material())
-    index: dict[str | None, int] = {path: k for k, path in enumerate(known)}
-    index[None] = len(materials) - 1
+    materials, index = kept.materials(paths) or _read_materials(stage, paths, time, settings, notes)
     names = required_primvars(materials) | {"st"} | detail_primvars(materials)
     shown = {path: materials[k] for path, k in index.items()}
     scale = UsdGeom.GetStageMetersPerUnit(stage)
@@ -160,13 +181,21 @@ def read_scene(
         notes,
     )
     notes.extend(missing_tile_notes(meshes, materials, index))
-    frame = SpectralFrame(
-        settings.wavelength_nm, settings.observer, lights.absolute, settings.color_space
-    )
-    # An instance is linked as its instancer is.
-    linked = [mesh.path.partition("[")[0] for mesh in meshes]
-    links = read_links(stage, lights.paths, linked, time)
-    return Scene(tuple(meshes), materials, index, lights, links, frame)
+    return Shapes(tuple(meshes), materials, index)
+
+
+def _read_materials(
+    stage: Usd.Stage,
+    paths: list[str],
+    time: Usd.TimeCode,
+    settings: RenderSettings,
+    notes: list[Note],
+) -> tuple[tuple[SkinMaterial | SurfaceMaterial, ...], dict[str | None, int]]:
+    known = read_materials(stage, paths, time, notes, settings.color_space)
+    materials = (*known.values(), display_material())
+    index: dict[str | None, int] = {path: k for k, path in enumerate(known)}
+    index[None] = len(materials) - 1
+    return materials, index
 
 
 def _visible_shapes(
@@ -257,6 +286,7 @@ def upload(
     traced: bool = False,
     bounces: int = 0,
     measured: bool = False,
+    cache: FrameCache | None = None,
 ) -> tuple[DeviceScene, LightField]:
     """Bake the lights, build the material tables and copy the geometry to the device.
 
@@ -268,26 +298,37 @@ def upload(
         bounces: How often reflected light falls on other surfaces, where light is traced.
         traced: Whether rays look for reflections, and measure the way through bodies.
         measured: Whether that way was measured before (``usdskin.render.transfer``).
+        cache: What the frame before left, and takes what this one does.
     """
+    kept = FrameCache() if cache is None else cache
     device = workers.device
     rows = {name: k for k, name in enumerate(sorted(_primvar_names(scene)))}
     thickness = _thickness_range(scene)
     if traced or measured:
         thickness = {material.path: np.inf for material in scene.materials}
     with ThreadPoolExecutor(1) as pool:  # beside the lights, which take as long
-        uploading = pool.submit(_upload_geometry, scene, rows, device)
-        light = _bake(scene, workers, show_dome, brute, traced, measured)
-        geometry, mesh, faces = uploading.result()
-    surfaces = build_surfaces(
-        scene.materials,
-        light.basis,
-        scene.frame,
-        wraps_of(scene.materials),
-        rows,
-        thickness,
-        device,
-        bounces if traced else 0,
-    )
+        uploading = pool.submit(
+            lambda: kept.geometry(scene) or _upload_geometry(scene, rows, device)
+        )
+        light = kept.light(scene, device, brute)
+        if light is None:
+            light = _bake(scene, workers, show_dome, brute, traced, measured)
+        link_lights(light.device_lights, scene.lights, scene.links if traced else None, device)
+        uploaded = uploading.result()
+    geometry, mesh, faces = uploaded
+    surfaces = kept.surfaces(scene, light, rows, thickness)
+    if surfaces is None:
+        surfaces = build_surfaces(
+            scene.materials,
+            light.basis,
+            scene.frame,
+            wraps_of(scene.materials),
+            rows,
+            thickness,
+            device,
+            bounces if traced else 0,
+        )
+    kept.keep(scene, uploaded, light, surfaces, rows, thickness)
     st = rows["st"] if any("st" in mesh.primvars for mesh in scene.meshes) else -1
     return (
         DeviceScene(
@@ -344,8 +385,6 @@ def _bake(
     alphas = () if traced else gloss_alphas(scene.materials, LADDER)
     add_reflections(light.device_lights, lights, light.reflected_blocks, alphas, workers)
     show_domes(light.device_lights, lights, show_dome, workers.device)
-    tables = scene.links if traced else None
-    link_lights(light.device_lights, lights, tables, workers.device)
     return light
 
 
@@ -460,7 +499,8 @@ def _corner_values(
 def scene_white(scene: Scene) -> NDArray[np.float64]:
     """Return the XYZ of a perfect diffuser, averaged over all its orientations, shape [3].
 
-    Lights that have a place are taken as they look from the middle of the geometry.
+    Turning the light does not change it. Lights that have a place are taken as they look from the
+    middle of the geometry.
     """
     white = mean_white(scene.lights, scene.frame)
     if not (scene.lights.locals and scene.meshes):

@@ -8,7 +8,7 @@ in one tile. So the picture is the same whatever the tiles, threads or their ord
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from usdskin import compilation
-from usdskin.device import Workers
+from usdskin.device import Workers, copied, vec4
 from usdskin.progress import Progress
 from usdskin.render.cameras import Camera
 from usdskin.render.checkpoint import Checkpoint, keeping
@@ -109,6 +109,10 @@ class TracedLights:
     first_local: int
     """Number of the first of them in the light links."""
 
+    upright: NDArray[np.float32] | None
+    """Cones of the tree's nodes in the frame of the only dome, shape [node_count, 4]; None where
+    there are other lights, or domes, which need not turn with it."""
+
 
 def trace_lights(
     lights: Lights, field: LightField, frame: SpectralFrame, device: str
@@ -123,9 +127,38 @@ def trace_lights(
     """
     if field.local is None:
         raise ValueError("the light field was built without its local lights")
-    tree = build_light_tree(lights, luminances(field, frame), device)
     first = len(lights.domes) + len(lights.distants)
-    return TracedLights(tree, field.local.device_lights, first)
+    is_alone = first == len(lights.domes) == 1
+    built = lights
+    if is_alone:
+        built = replace(lights, domes=(replace(lights.domes[0], to_world=np.eye(3)),))
+    tree = build_light_tree(built, luminances(field, frame), device)
+    upright = tree.node_cone.numpy() if is_alone else None
+    found = TracedLights(tree, field.local.device_lights, first, upright)
+    return turn_traced_lights(found, lights, device) or found
+
+
+def turn_traced_lights(found: TracedLights, lights: Lights, device: str) -> TracedLights | None:
+    """Return lights whose only dome has been turned.
+
+    Args:
+        found: Prepared lights.
+        lights: The lights as they are turned now.
+        device: Where to.
+
+    Returns:
+        The lights, sharing arrays with ``found``; None where the tree has to be built anew.
+    """
+    if found.upright is None:
+        return None
+    to_world = lights.domes[0].to_world
+    tree = copied(found.tree, light_tree.LightTree)
+    cones = found.upright.copy()
+    cones[:, :3] = found.upright[:, :3] @ to_world.T
+    tree.node_cone = vec4(cones, device)
+    turns = to_world.astype(np.float32)[None]
+    tree.dome_to_world = wp.array(turns, dtype=wp.mat33f, device=device)
+    return replace(found, tree=tree)
 
 
 def sampling_key(seed: int, frame: float | None) -> int:
