@@ -84,7 +84,10 @@ def render_stage(
 
         def failed(number: float | None, error: UsdSkinError) -> None:
             if len(job.frames) == 1:
-                raise error
+                try:
+                    raise error
+                finally:
+                    del error  # in a cycle with its own traceback it would keep the stage open
             report.failures[f"{number:g}"] = str(error)
 
         try:
