@@ -74,20 +74,20 @@ def render_stage(
         workers = open_workers(job.settings.device, job.settings.threads)
         _lap(report.seconds, "open", begun)
 
-        def failed(number: float | None, error: UsdSkinError) -> None:
-            if len(job.frames) == 1:
-                raise error
-            report.failures[f"{number:g}"] = str(error)
+        def failed(number: float | None, reason: str) -> None:
+            report.failures[f"{number:g}"] = reason
 
         try:
-            with FrameWriter(failed) as writer:
+            with FrameWriter(None if len(job.frames) == 1 else failed) as writer:
                 for frame in job.frames:
                     try:
                         _render_frame(stage, job, frame, workers, progress, report, cache, writer)
                     except UsdSkinError as error:
                         cache.forget()
                         writer.settle()  # the frame before comes first
-                        failed(frame.number, error)
+                        if len(job.frames) == 1:
+                            raise
+                        failed(frame.number, str(error))
         finally:
             compilation.abandon()
     if report.failures and len(report.failures) == len(job.frames):
