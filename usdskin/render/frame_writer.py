@@ -19,11 +19,12 @@ class FrameWriter:
     too, what was given has been written.
     """
 
-    def __init__(self, failed: Callable[[float | None, UsdSkinError], None]) -> None:
+    def __init__(self, failed: Callable[[float | None, str], None] | None) -> None:
         """Set the writer up.
 
         Args:
-            failed: Told of a frame whose files could not be written.
+            failed: Told of a frame whose files could not be written, and why; without it, the
+                error is raised.
         """
         self._failed = failed
         self._pool = ThreadPoolExecutor(1)
@@ -65,4 +66,6 @@ class FrameWriter:
         try:
             written.result()
         except UsdSkinError as error:
-            self._failed(frame, error)
+            if self._failed is None:
+                raise
+            self._failed(frame, str(error))
