@@ -82,23 +82,20 @@ def render_stage(
         loader = Loader(stage, job.settings, workers, report, cache)
         _lap(report.seconds, "open", begun)
 
-        def failed(number: float | None, error: UsdSkinError) -> None:
-            if len(job.frames) == 1:
-                try:
-                    raise error
-                finally:
-                    del error  # in a cycle with its own traceback it would keep the stage open
-            report.failures[f"{number:g}"] = str(error)
+        def failed(number: float | None, reason: str) -> None:
+            report.failures[f"{number:g}"] = reason
 
         try:
-            with FrameWriter(failed) as writer:
+            with FrameWriter(None if len(job.frames) == 1 else failed) as writer:
                 for frame in job.frames:
                     try:
                         _render_frame(stage, job, frame, loader, workers, progress, report, writer)
                     except UsdSkinError as error:
                         loader.forget()
                         writer.settle()  # the frame before comes first
-                        failed(frame.number, error)
+                        if len(job.frames) == 1:
+                            raise
+                        failed(frame.number, str(error))
         finally:
             compilation.abandon()
     if report.failures and len(report.failures) == len(job.frames):
