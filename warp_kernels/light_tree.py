@@ -87,20 +87,20 @@ class TreeSample:
 
 
 @wp.func
-def ramp(x: wp.float32, wrap: wp.float32, mix: wp.float32) -> wp.float32:
-    """Return the kernel light is chosen by: Lambert's plus ``mix`` times the wrap term."""
-    return wp.max(x, 0.0) + mix * wp.max((x + wrap) / (1.0 + wrap), 0.0)
+def ramp(x: wp.float32, wrap: wp.float32, share: wp.float32) -> wp.float32:
+    """Return the kernel light is chosen by: Lambert's plus ``share`` times max(x + l, 0)."""
+    return wp.max(x, 0.0) + share * wp.max(x + wrap, 0.0)
 
 
 @wp.func
 def _importance(
-    tree: LightTree, node: wp.int32, normal: wp.vec3f, wrap: wp.float32, mix: wp.float32
+    tree: LightTree, node: wp.int32, normal: wp.vec3f, wrap: wp.float32, share: wp.float32
 ) -> wp.float32:
     """Return flux times a mean of the kernel: positive wherever it is for any of the node."""
     cone = tree.node_cone[node]
     x = normal[0] * cone[0] + normal[1] * cone[1] + normal[2] * cone[2]
     high = wp.min(x + cone[3], 1.0)
-    return tree.node_flux[node] * (ramp(x, wrap, mix) + 0.5 * ramp(high, wrap, mix))
+    return tree.node_flux[node] * (ramp(x, wrap, share) + 0.5 * ramp(high, wrap, share))
 
 
 @wp.func
@@ -119,13 +119,14 @@ def sample_tree(
     sample = TreeSample()
     if tree.leaf_node.shape[0] == 0:
         return sample
+    narrow = mix / (1.0 + wrap)
     node = int(0)
     rest = float(u[0])
     chance = float(1.0)
     child = tree.node_child[0]
     while child >= 0:
-        first = _importance(tree, child, normal, wrap, mix)
-        second = _importance(tree, child + 1, normal, wrap, mix)
+        first = _importance(tree, child, normal, wrap, narrow)
+        second = _importance(tree, child + 1, normal, wrap, narrow)
         total = first + second
         if total <= 0.0:
             return sample
@@ -224,13 +225,14 @@ def tree_density(
     leaf = tree.dome_leaf[tree.dome_first[dome][1] + texel]
     if leaf < 0:
         return 0.0
+    narrow = mix / (1.0 + wrap)
     node = tree.leaf_node[leaf]
     chance = float(1.0)
     parent = tree.node_parent[node]
     while parent >= 0:
         child = tree.node_child[parent]
-        first = _importance(tree, child, normal, wrap, mix)
-        second = _importance(tree, child + 1, normal, wrap, mix)
+        first = _importance(tree, child, normal, wrap, narrow)
+        second = _importance(tree, child + 1, normal, wrap, narrow)
         total = first + second
         if total <= 0.0:
             return 0.0

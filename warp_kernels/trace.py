@@ -111,7 +111,9 @@ def _shade_directions(
         if glossy:
             lobes = lobes_towards(materials, point, r, sample.direction)
         reached = reaches(lights.links, point.prim, number)
-        if reached and (r.diffuse > 0.0 or lobes[0] + lobes[1] > 0.0):
+        x = wp.dot(point.normal, sample.direction)
+        lit = r.diffuse > 0.0 and x > wp.where(own >= 0, -wrap, 0.0)
+        if reached and (lit or lobes[0] + lobes[1] > 0.0):
             crossing = cross_bodies(
                 geometry, materials, origin_on(materials, point),
                 sample.direction, FAR, own,
@@ -198,8 +200,8 @@ def _trace_kernel(
         lens = wp.vec2f(0.0, 0.0)
         if camera.lens_radius > 0.0:
             lens = wp.vec2f(
-                low_discrepancy(trace.sobol, key, number, LENS_DIMENSION),
-                low_discrepancy(trace.sobol, key, number, LENS_DIMENSION + 1),
+                low_discrepancy(trace.sobol, key, trace.first_camera + s, LENS_DIMENSION),
+                low_discrepancy(trace.sobol, key, trace.first_camera + s, LENS_DIMENSION + 1),
             )
         ray = camera_ray(
             camera,

@@ -44,6 +44,9 @@ class Trace:
     first_sample: wp.int32
     """Index of the pass's first sample in every pixel's sequence."""
 
+    first_camera: wp.int32
+    """Index of its first camera sample."""
+
     split: wp.int32
     """Directions of light for every camera sample."""
 

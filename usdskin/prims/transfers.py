@@ -56,7 +56,7 @@ def read_transfer(prim: Usd.Prim) -> SkinTransfer | None:
     Raises:
         LayerError: An opinion cannot be used, or the measurements are of another version.
     """
-    if not prim.HasAPI("SkinTransferAPI"):
+    if not prim or not prim.HasAPI("SkinTransferAPI"):
         return None
     values = read_schema(prim, "SkinTransferAPI", DEFAULT_TIME)
     remedy = "bake it again with `usdskin bake`"

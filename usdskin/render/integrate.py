@@ -186,7 +186,7 @@ def integrate(
     xyza = np.zeros((count, 4), np.float32)
     bands = scene.band_count if spectral else 0
     folder = checkpoint.file.parent if checkpoint is not None else None
-    spectrum = pixel_zeros((count, band_groups(bands), 4), folder)
+    spectrum = pixel_zeros(resolution, (band_groups(bands), 4), folder)
     on_host = device == "cpu"
     chunk = TILE_PIXELS if on_host else GPU_TILE_PIXELS
     rows = min(max(1, chunk // width), height)

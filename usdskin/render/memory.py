@@ -58,19 +58,23 @@ def check_memory(product: Product, band_count: int) -> None:
         )
 
 
-def pixel_zeros(shape: tuple[int, ...], folder: Path | None) -> NDArray[np.float32]:
+def pixel_zeros(
+    resolution: tuple[int, int], values: tuple[int, ...], folder: Path | None
+) -> NDArray[np.float32]:
     """Return zeros, in memory or, where they would take too much of it, in an unnamed file.
 
     The system writes the file's pages out and drops them when memory is wanted; the space is
     reserved beforehand, and the file goes with the array.
 
     Args:
-        shape: Shape of the array.
+        resolution: Width and height of the picture [px].
+        values: Shape of what a pixel holds.
         folder: Where the file may lie; None keeps everything in memory.
 
     Raises:
         DeviceError: The disk has no room for it.
     """
+    shape = (math.prod(resolution), *values)
     size = math.prod(shape) * _BYTES
     if folder is None or not _too_large(size, available_bytes()):
         return np.zeros(shape, np.float32)
@@ -80,8 +84,9 @@ def pixel_zeros(shape: tuple[int, ...], folder: Path | None) -> NDArray[np.float
             return np.memmap(file, np.float32, "r+", shape=shape)
     except OSError as error:
         raise DeviceError(
-            f"{folder}: {size / 2**30:.1f} GiB of spectra fit neither into memory nor here "
-            f"({error.strerror or error}); free space, or make the picture smaller with -w."
+            f"{folder}: {resolution[0]} x {resolution[1]} pixels have {size / 2**30:.1f} GiB of "
+            f"spectra, which fit neither into memory nor here ({error.strerror or error}); free "
+            "space, or make the picture smaller with -w."
         ) from None
 
 

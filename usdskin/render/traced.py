@@ -84,6 +84,9 @@ class _Pass:
     first: int
     """Index of the first direction of light in every pixel's sequence."""
 
+    first_camera: int
+    """Index of the first camera sample."""
+
     offsets: Any
     """Positions of the camera samples [px], on the device."""
 
@@ -210,7 +213,7 @@ def integrate_traced(
         "part": np.zeros((count if parts else 0, len(PARTS), 3), np.float32),
     }
     rows = _tile_rows(width, height, TILE_PIXELS if on_host else GPU_TILE_PIXELS)
-    passes = _passes(settings, device)
+    passes = _passes(settings, device, sharp=camera.lens_radius <= 0.0)
     sobol = wp.array(sampling.direction_numbers(), dtype=wp.uint32, device=device)
     projection = None
     if on_host and camera.lens_radius <= 0.0:
@@ -264,32 +267,36 @@ def _tile_rows(width: int, height: int, pixels: int) -> int:
     return min(rows, -(-height // BLOCK) * BLOCK)
 
 
-def _passes(settings: Sampling, device: str) -> list[_Pass]:
+def _passes(settings: Sampling, device: str, *, sharp: bool) -> list[_Pass]:
     """Return the passes: the first samples in two halves, and then as many as there are before.
 
-    Later passes take more directions of light from as many camera samples: what is noisy is the
-    light. Every pass has its own camera samples.
+    Later passes of a ``sharp`` picture take more directions of light from as many camera samples:
+    what is noisy is the light. Every pass has its own camera samples.
     """
     samples, begin = settings.share.size(settings.samples), settings.share.first(settings.samples)
     first = min(samples, FIRST_SAMPLES)
     moved = 16 * settings.share.index  # more than there are passes
     offsets = sample_offsets(first, settings.pixel_filter, _shift(moved))
-    found = [(0, offsets[0::2], 1), ((first + 1) // 2, offsets[1::2], 1)]
-    taken = first
+    half = (first + 1) // 2
+    found = [(0, 0, offsets[0::2], 1), (half, half, offsets[1::2], 1)]
+    taken = cameras_taken = first
     while taken < samples:
         more = min(taken, samples - taken)
-        split = max(1, more // FIRST_SAMPLES)
+        split = max(1, more // FIRST_SAMPLES) if sharp else 1
         cameras = max(1, more // split)
         shift = _shift(moved + len(found))
-        found.append((taken, sample_offsets(cameras, settings.pixel_filter, shift), split))
+        offsets = sample_offsets(cameras, settings.pixel_filter, shift)
+        found.append((taken, cameras_taken, offsets, split))
         taken += cameras * split
+        cameras_taken += cameras
     return [
         _Pass(
             begin + at_sample,
+            begin + at_camera,
             wp.array(np.ascontiguousarray(at), dtype=wp.vec2f, device=device),
             split,
         )
-        for at_sample, at, split in found
+        for at_sample, at_camera, at, split in found
         if len(at)
     ]
 
@@ -349,6 +356,7 @@ class _Tile:
         film.sample = each.offsets
         film.face = wp.empty((0, 0), dtype=wp.int32, device=device) if face is None else face
         self._trace.first_sample, self._trace.split = each.first, each.split
+        self._trace.first_camera = each.first_camera
         self._trace.pixel = wp.array(active, dtype=wp.int32, device=device)
         trace.trace_pass(
             self._scene.geometry, self._rays, self._scene.lights, self._scene.materials,
