@@ -26,8 +26,9 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     from usdskin.render.film import sample_offsets
     from usdskin.render.integrate import device_camera
     from usdskin.render.overrides import RenderOverrides
-    from usdskin.render.scene import read_scene, upload
+    from usdskin.render.scene import read_scene
     from usdskin.render.settings import read_settings
+    from usdskin.render.uploading import upload
     from usdskin.warp_kernels import film, structs
 
     # isort: split

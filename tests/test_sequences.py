@@ -14,7 +14,7 @@ from light_stages import write_rgb
 from usdskin.errors import ImageError
 from usdskin.images import read_image
 from usdskin.progress import SilentProgress
-from usdskin.render import domes, light_maps, scene, traced
+from usdskin.render import domes, light_maps, scene, traced, uploading
 from usdskin.render import render as rendering
 from usdskin.render.frame_writer import OVERLAP_BYTES, FrameWriter
 from usdskin.render.overrides import RenderOverrides
@@ -103,11 +103,11 @@ READERS = {
     "light map": (domes, "read_image"),
     "shapes": (scene, "read_gprim"),
     "materials": (scene, "read_materials"),
-    "light": (scene, "build_light_field"),
-    "reflections": (scene, "add_reflections"),
+    "light": (uploading, "build_light_field"),
+    "reflections": (uploading, "add_reflections"),
     "maps": (light_maps, "bake_maps"),
-    "upload": (scene, "_upload_geometry"),
-    "tables": (scene, "build_surfaces"),
+    "upload": (uploading, "_upload_geometry"),
+    "tables": (uploading, "build_surfaces"),
     "tree": (traced, "build_light_tree"),
 }
 

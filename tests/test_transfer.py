@@ -24,13 +24,14 @@ from usdskin.progress import SilentProgress
 from usdskin.render.domes import DomeLight
 from usdskin.render.environment import build_environment
 from usdskin.render.overrides import RenderOverrides
-from usdskin.render.scene import read_scene, upload
+from usdskin.render.scene import read_scene
 from usdskin.render.settings import read_settings
 from usdskin.render.transfer import read_transfers
 from usdskin.render.transfer_bake import bake_transfer
 from usdskin.render.transfer_file import joined, pack
 from usdskin.render.transfer_light import project_dome, shade_transfers, upload_transfers
 from usdskin.render.transfer_sphere import ring_count, transfer_sphere
+from usdskin.render.uploading import upload
 
 # isort: split
 from pxr import Usd

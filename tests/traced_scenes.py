@@ -14,9 +14,10 @@ from usdskin.render.cameras import read_camera
 from usdskin.render.integrate import DeviceScene, Picture, integrate
 from usdskin.render.overrides import RenderOverrides
 from usdskin.render.render import ERROR_FLOOR
-from usdskin.render.scene import Scene, mean_white, read_scene, upload
+from usdskin.render.scene import Scene, mean_white, read_scene
 from usdskin.render.settings import read_settings
 from usdskin.render.traced import Sampling, integrate_traced, sampling_key, trace_lights
+from usdskin.render.uploading import upload
 
 # isort: split
 # After ours, which register the schemas.

@@ -21,11 +21,12 @@ from usdskin.render.integrate import DeviceScene
 from usdskin.render.light_maps import LightField
 from usdskin.render.lights import Lights
 from usdskin.render.meshes import MeshArrays
-from usdskin.render.scene import Scene, read_scene, scene_white, upload
+from usdskin.render.scene import Scene, read_scene, scene_white
 from usdskin.render.settings import RenderReport, RenderSettings
 from usdskin.render.traced import TracedLights, trace_lights, turn_traced_lights
 from usdskin.render.transfer import read_transfers
 from usdskin.render.transfer_light import DeviceTransfers, shade_transfers, upload_transfers
+from usdskin.render.uploading import upload
 
 # isort: split
 # After ours, which register the schemas.

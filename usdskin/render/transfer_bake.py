@@ -27,12 +27,13 @@ from usdskin.render.materials import SkinMaterial
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.opening import opened
 from usdskin.render.overrides import RenderOverrides, apply_overrides
-from usdskin.render.scene import Scene, read_scene, upload_bodies
+from usdskin.render.scene import Scene, read_scene
 from usdskin.render.settings import RenderSettings, read_settings
 from usdskin.render.surface_rows import body_reach
 from usdskin.render.transfer_file import MeshTransfer, joined, pack, write_transfers
 from usdskin.render.transfer_points import Places, geometry_hashes, places_of
 from usdskin.render.transfer_sphere import TransferSphere, ring_count, transfer_sphere
+from usdskin.render.uploading import upload_bodies
 from usdskin.warp_kernels import transfer
 
 # isort: split
