@@ -52,6 +52,9 @@ BLOCK = 4
 FIRST_SAMPLES = 16
 """Samples every pixel gets before any of them is judged."""
 
+LARGEST_SPLIT = 4
+"""Most directions of light for one camera sample: a surface point costs a fourth of a direction."""
+
 PARTS = ("diffuse", "specular", "emission", "indirect")
 """What the light of a pixel is split into, in the kernels' order."""
 
@@ -270,8 +273,8 @@ def _tile_rows(width: int, height: int, pixels: int) -> int:
 def _passes(settings: Sampling, device: str, *, sharp: bool) -> list[_Pass]:
     """Return the passes: the first samples in two halves, and then as many as there are before.
 
-    Later passes of a ``sharp`` picture take more directions of light from as many camera samples:
-    what is noisy is the light. Every pass has its own camera samples.
+    Later passes of a ``sharp`` picture take several directions of light for each camera sample: what
+    is noisy is the light. Every pass has its own camera samples.
     """
     samples, begin = settings.share.size(settings.samples), settings.share.first(settings.samples)
     first = min(samples, FIRST_SAMPLES)
@@ -282,7 +285,7 @@ def _passes(settings: Sampling, device: str, *, sharp: bool) -> list[_Pass]:
     taken = cameras_taken = first
     while taken < samples:
         more = min(taken, samples - taken)
-        split = max(1, more // FIRST_SAMPLES) if sharp else 1
+        split = min(LARGEST_SPLIT, max(1, more // FIRST_SAMPLES)) if sharp else 1
         cameras = max(1, more // split)
         shift = _shift(moved + len(found))
         offsets = sample_offsets(cameras, settings.pixel_filter, shift)
