@@ -273,8 +273,8 @@ def _tile_rows(width: int, height: int, pixels: int) -> int:
 def _passes(settings: Sampling, device: str, *, sharp: bool) -> list[_Pass]:
     """Return the passes: the first samples in two halves, and then as many as there are before.
 
-    Later passes of a ``sharp`` picture take several directions of light for each camera sample: what
-    is noisy is the light. Every pass has its own camera samples.
+    Later passes of a ``sharp`` picture take several directions of light for each camera sample:
+    what is noisy is the light. Every pass has its own camera samples.
     """
     samples, begin = settings.share.size(settings.samples), settings.share.first(settings.samples)
     first = min(samples, FIRST_SAMPLES)
