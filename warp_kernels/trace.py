@@ -119,9 +119,7 @@ def _shade_directions(
                 sample.direction, FAR, own,
                 materials.passage_limit[m], lights.links, number,
             )  # fmt: skip
-            share = beam_share(
-                lights, materials, point, sample.direction, crossing, trace.given[pixel]
-            )
+            share = beam_share(lights, materials, point, sample.direction, crossing, 1.0)
             seen = float(0.0)
             if crossing.length <= 0.0:
                 seen = crossing.clear
@@ -147,13 +145,13 @@ def _shade_directions(
 @wp.func
 def _shade_unshadowed(
     geometry: Geometry, lights: Lights, materials: Materials, film: Film, pixel: wp.int32,
-    point: Point, r: Reflection, times: wp.float32, given: wp.float32,
+    point: Point, r: Reflection, times: wp.float32,
 ) -> wp.vec3f:  # fmt: skip
     """Deposit so many times what the maps give a point, and its emission; return Y, and of it the
     diffuse part.
     """
     scaled = r
-    scaled.diffuse = times * given * r.diffuse
+    scaled.diffuse = times * r.diffuse
     scaled.weight = times * r.weight
     base = float(0.0)
     emitted = float(0.0)
@@ -162,8 +160,7 @@ def _shade_unshadowed(
     else:
         base = shade_preview_surface(lights, materials, film, pixel, point, scaled)
         emitted = shade_emission(geometry, lights, materials, film, pixel, point, scaled)
-    whole = base / given
-    return wp.vec3f(base + emitted, whole, base - whole)
+    return wp.vec3f(base + emitted, base, 0.0)
 
 
 @wp.kernel(enable_backward=False)
@@ -253,9 +250,7 @@ def _trace_kernel(
                 shown = opacity > 0.0 or shines_when_clear(materials, current)
                 r = reflect_preview_surface(geometry, lights, materials, point, clear, opacity)
             if shown:
-                sums += _shade_unshadowed(
-                    geometry, lights, materials, film, pixel, point, r, times, trace.given[pixel]
-                )
+                sums += _shade_unshadowed(geometry, lights, materials, film, pixel, point, r, times)
                 for k in range(trace.split):
                     sums += _shade_directions(
                         geometry, lights, materials, film, trace, pixel, layer_key, number + k,
