@@ -119,7 +119,9 @@ def _shade_directions(
                 sample.direction, FAR, own,
                 materials.passage_limit[m], lights.links, number,
             )  # fmt: skip
-            share = beam_share(lights, materials, point, sample.direction, crossing, 1.0)
+            share = beam_share(
+                lights, materials, point, sample.direction, crossing, trace.given[pixel]
+            )
             seen = float(0.0)
             if crossing.length <= 0.0:
                 seen = crossing.clear
@@ -145,13 +147,13 @@ def _shade_directions(
 @wp.func
 def _shade_unshadowed(
     geometry: Geometry, lights: Lights, materials: Materials, film: Film, pixel: wp.int32,
-    point: Point, r: Reflection, times: wp.float32,
+    point: Point, r: Reflection, times: wp.float32, given: wp.float32,
 ) -> wp.vec3f:  # fmt: skip
     """Deposit so many times what the maps give a point, and its emission; return Y, and of it the
     diffuse part.
     """
     scaled = r
-    scaled.diffuse = times * r.diffuse
+    scaled.diffuse = times * given * r.diffuse
     scaled.weight = times * r.weight
     base = float(0.0)
     emitted = float(0.0)
@@ -160,7 +162,8 @@ def _shade_unshadowed(
     else:
         base = shade_preview_surface(lights, materials, film, pixel, point, scaled)
         emitted = shade_emission(geometry, lights, materials, film, pixel, point, scaled)
-    return wp.vec3f(base + emitted, base, 0.0)
+    whole = base / given
+    return wp.vec3f(base + emitted, whole, base - whole)
 
 
 @wp.kernel(enable_backward=False)
@@ -250,7 +253,9 @@ def _trace_kernel(
                 shown = opacity > 0.0 or shines_when_clear(materials, current)
                 r = reflect_preview_surface(geometry, lights, materials, point, clear, opacity)
             if shown:
-                sums += _shade_unshadowed(geometry, lights, materials, film, pixel, point, r, times)
+                sums += _shade_unshadowed(
+                    geometry, lights, materials, film, pixel, point, r, times, trace.given[pixel]
+                )
                 for k in range(trace.split):
                     sums += _shade_directions(
                         geometry, lights, materials, film, trace, pixel, layer_key, number + k,

@@ -50,6 +50,10 @@ class Trace:
     split: wp.int32
     """Directions of light for every camera sample."""
 
+    given: wp.array[wp.float32]
+    """Share of the unshadowed light that is taken from the maps; directions are weighed against it.
+    The share that arrives gives the least noise, shape [tile_pixels]."""
+
     part: wp.array2d[wp.vec3f]
     """Sums of XYZ: diffuse, specular, emission, indirect, shape [tile_pixels, 4], or [0, 0]."""
 

@@ -55,6 +55,9 @@ FIRST_SAMPLES = 16
 LARGEST_SPLIT = 4
 """Most directions of light for one camera sample: a surface point costs a fourth of a direction."""
 
+LEAST_GIVEN = 0.02
+"""Least share of the unshadowed light that is taken from the maps."""
+
 PARTS = ("diffuse", "specular", "emission", "indirect")
 """What the light of a pixel is split into, in the kernels' order."""
 
@@ -245,6 +248,7 @@ def integrate_traced(
                 active = _unfinished(tile, active, width, settings)
                 if not len(active):
                     break
+            tile.weigh(active, width)
         for name, values in tile.finished().items():
             result[name][begin:end] = values
         tiles.finished(begin, end)
@@ -343,6 +347,7 @@ class _Tile:
         shape = (count, len(PARTS)) if parts else (0, 0)
         self._trace.part = wp.zeros(shape, dtype=wp.vec3f, device=device)
         self._trace.tally = wp.zeros(count, dtype=wp.vec4f, device=device)
+        self._trace.given = wp.ones(count, dtype=wp.float32, device=device)
         self._trace.luminance = wp.zeros(count, dtype=wp.float32, device=device)
         self.variance = np.zeros(count)
         self._total = np.zeros(count)
@@ -373,6 +378,16 @@ class _Tile:
         self._total[active] += new
         self._taken[active] += more
 
+    def weigh(self, active: NDArray[np.int32], width: int) -> None:
+        """Take from the maps what arrived in each block so far: a little where much is hidden."""
+        tally = self._trace.tally.numpy()[active].astype(np.float64)
+        owner = _blocks(active, width)
+        whole, lost = (np.bincount(owner, tally[:, k]) for k in (1, 2))
+        arrived = 1.0 + lost / np.where(whole > 0.0, whole, 1.0)
+        given = np.ones(self.count, np.float32)
+        given[active] = np.clip(arrived, LEAST_GIVEN, 1.0)[owner]
+        self._trace.given = wp.array(given, dtype=wp.float32, device=self._device)
+
     def finished(self) -> dict[str, NDArray[Any]]:
         """Return the tile's means and variances, and its tally."""
         tally = self._trace.tally.numpy()
@@ -394,13 +409,19 @@ def _unfinished(
     """Return the pixels of the blocks whose error is still above the target."""
     if settings.target_error <= 0.0:
         return active
-    row, column = active // width, active % width
-    block = row // BLOCK * (-(-width // BLOCK)) + column // BLOCK
-    _, owner, sizes = np.unique(block, return_inverse=True, return_counts=True)
+    owner = _blocks(active, width)
+    sizes = np.bincount(owner)
     variance = np.bincount(owner, tile.variance[active]) / sizes
     level = np.maximum(np.bincount(owner, tile.mean[active]) / sizes, settings.floor)
     keep = variance > (settings.target_error * level) ** 2
     return np.asarray(active[keep[owner]])
+
+
+def _blocks(active: NDArray[np.int32], width: int) -> NDArray[np.int64]:
+    """Return the block of every pixel, counted from 0."""
+    row, column = active // width, active % width
+    block = row // BLOCK * (-(-width // BLOCK)) + column // BLOCK
+    return np.asarray(np.unique(block, return_inverse=True)[1])
 
 
 def _extra(
