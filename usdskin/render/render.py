@@ -53,7 +53,7 @@ from usdskin.render.traced import Sampling, integrate_traced, sampling_key
 # After ours, which register the schemas.
 from pxr import Usd
 
-ERROR_FLOOR = 0.1
+ERROR_FLOOR = 0.2
 """Luminance, of a white diffuser's in the mean light, below which errors weigh no more."""
 
 
