@@ -1,6 +1,7 @@
 # make render   set up and render the portrait to out/        make test   set up and run the tests
 # make lint     ruff and mypy on the built wheel              make clean  remove what was made
 # PYTHON=...    which Python to use; otherwise the first of 3.12, 3.11, 3.13 that is there
+# WORKERS=1     run the tests in one process; otherwise one per core, 8 at most
 # MESH=0        leave out the extra `mesh` (open3d, 0.9 GB installed)
 
 SHELL := /bin/bash
@@ -12,6 +13,7 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 MESH ?= 1
+WORKERS ?= auto
 PYTEST_ARGS ?=
 # setuptools warns of every editable install as such, and pip passes it on.
 PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check
@@ -76,7 +78,7 @@ $(VENV)/mesh.stamp: $(VENV)/installed.stamp
 	@touch $@
 
 test: $(VENV)/test.stamp $(VENV)/mesh.stamp
-	$(BIN)/python -m pytest -p no:dash $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -p no:dash -n $(WORKERS) --maxprocesses 8 $(PYTEST_ARGS)
 
 lint: $(VENV)/test.stamp
 	$(BIN)/ruff check
