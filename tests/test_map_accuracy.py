@@ -26,8 +26,8 @@ from usdskin.render.lights import DomeLight, Lights
 from usdskin.render.texels import factorize
 from usdskin.render.zonal_maps import MAP_ERROR_TARGET, integrate_normals, to_device
 from usdskin.warp_kernels import structs
+from usdskin.warp_kernels.diffuse import diffuse_light
 from usdskin.warp_kernels.lookup import frame_coordinates
-from usdskin.warp_kernels.skin import diffuse_light
 
 FloatArray = NDArray[np.float64]
 

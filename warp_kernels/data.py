@@ -5,15 +5,23 @@ from __future__ import annotations
 import warp as wp
 
 from usdskin.warp_kernels.detail import relieved
-from usdskin.warp_kernels.film import MAX_LAYERS, camera_ray, surface_point
+from usdskin.warp_kernels.diffuse import diffuse_light
 from usdskin.warp_kernels.lookup import frame_coordinates
-from usdskin.warp_kernels.skin import Point, diffuse_light, read_input
 from usdskin.warp_kernels.structs import (
     INPUT_BASE,
     CameraRays,
     Geometry,
     Lights,
     Materials,
+)
+from usdskin.warp_kernels.surface import Point, read_input
+from usdskin.warp_kernels.view import (
+    MAX_LAYERS,
+    UNKNOWN,
+    beyond,
+    meet,
+    picture_ray,
+    surface_point,
 )
 from usdskin.warp_kernels.visibility import surface_opacity
 
@@ -74,24 +82,19 @@ def _data_kernel(
     """
     pixel = wp.tid()
     index = tile.first_pixel + pixel
-    column = index % camera.width
-    row = index / camera.width
-    middle = wp.vec2f(0.5, 0.5)
-    ray = camera_ray(camera, wp.float32(column) + 0.5, wp.float32(row) + 0.5, middle)
+    ray = picture_ray(camera, index, wp.vec2f(0.0, 0.0), wp.vec2f(0.5, 0.5), 1.0)
     start = float(0.0)
     tile.face[pixel] = -1
     tile.position[pixel] = wp.vec4f(0.0, 0.0, 0.0, wp.inf)
     for _layer in range(MAX_LAYERS):
-        hit = wp.mesh_query_ray(
-            geometry.mesh, ray.origin + start * ray.direction, ray.direction, ray.length - start
-        )
-        if not hit.result:
+        met = meet(geometry, ray, start, UNKNOWN)
+        if met.face < 0:
             break
-        point = surface_point(geometry, ray, hit.face, hit.u, hit.v, start + hit.t)
+        point = surface_point(geometry, ray, met)
         if (materials.flags[point.material] & 64) != 0:
             point = relieved(geometry, materials, point)
         if surface_opacity(geometry, materials, point) > 0.5:
-            tile.face[pixel] = hit.face
+            tile.face[pixel] = met.face
             tile.normal[pixel] = point.normal
             p = point.position
             depth = -wp.dot(p - camera.origin, camera.back)
@@ -106,7 +109,7 @@ def _data_kernel(
             if tile.irradiance.shape[0] > 0:
                 tile.irradiance[pixel] = _irradiance(lights, materials, point)
             break
-        start = (start + hit.t) * 1.000001 + 1.0e-6
+        start = beyond(met.distance)
 
 
 def render_data(

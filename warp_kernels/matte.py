@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import warp as wp
 
-from usdskin.warp_kernels.film import (
+from usdskin.warp_kernels.structs import CameraRays, Geometry, Materials
+from usdskin.warp_kernels.view import (
     MAX_LAYERS,
-    camera_ray,
-    first_hit,
+    UNKNOWN,
+    beyond,
     lens_sample,
+    meet,
+    picture_ray,
     surface_point,
 )
-from usdskin.warp_kernels.structs import CameraRays, Geometry, Materials
 from usdskin.warp_kernels.visibility import surface_opacity
 
 wp.set_module_options({"enable_backward": False})
@@ -76,50 +78,27 @@ def _matte_kernel(
     """
     pixel = wp.tid()
     index = tile.first_pixel + pixel
-    column = index % camera.width
-    row = index / camera.width
     samples = tile.sample.shape[0]
     share = 1.0 / wp.float32(samples)
     rasterized = tile.face.shape[0] > 0
     sharpness = 1.0 / wp.sqrt(wp.float32(samples))
     for s in range(samples):
-        offset = tile.sample[s]
-        ray = camera_ray(
-            camera,
-            wp.float32(column) + 0.5 + offset[0],
-            wp.float32(row) + 0.5 + offset[1],
-            lens_sample(index, s),
-        )
-        ray.spread = ray.spread * sharpness
-        ray.width = ray.width * sharpness
+        ray = picture_ray(camera, index, tile.sample[s], lens_sample(index, s), sharpness)
         clear = float(1.0)
         start = float(0.0)
         for layer in range(MAX_LAYERS):
-            face = int(-1)
-            at = wp.vec3f(0.0, 0.0, 0.0)
+            known = int(UNKNOWN)
             if layer == 0 and rasterized:
-                face = tile.face[pixel, s]
-                if face >= 0:
-                    at = first_hit(geometry, ray, face)
-            else:
-                hit = wp.mesh_query_ray(
-                    geometry.mesh,
-                    ray.origin + start * ray.direction,
-                    ray.direction,
-                    ray.length - start,
-                )
-                if hit.result:
-                    face = hit.face
-                    at = wp.vec3f(hit.u, hit.v, hit.t)
-            if face < 0:
+                known = tile.face[pixel, s]
+            met = meet(geometry, ray, start, known)
+            if met.face < 0:
                 break
-            distance = start + at[2]
-            point = surface_point(geometry, ray, face, at[0], at[1], distance)
+            point = surface_point(geometry, ray, met)
             opacity = surface_opacity(geometry, materials, point)
             if opacity > 0.0:
-                _deposit(tile, pixel, geometry.prim[face], point.material, share * clear * opacity)
+                _deposit(tile, pixel, point.prim, point.material, share * clear * opacity)
             clear = clear * (1.0 - opacity)
-            start = distance * 1.000001 + 1.0e-6
+            start = beyond(met.distance)
             if clear < 1.0e-4 or start >= ray.length:
                 break
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import warp as wp
 
 from usdskin.warp_kernels.film import finish_rows
-from usdskin.warp_kernels.skin import Point, reflect_skin, shade_skin
+from usdskin.warp_kernels.skin import reflect_skin, shade_skin
 from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
+from usdskin.warp_kernels.surface import Point
 
 wp.set_module_options({"enable_backward": False})
 

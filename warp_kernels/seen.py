@@ -10,9 +10,10 @@ from __future__ import annotations
 import warp as wp
 
 from usdskin.warp_kernels.lookup import latlong_coordinates
+from usdskin.warp_kernels.reflection import Reflection, base_weight
 from usdskin.warp_kernels.sampling import tangent_of
-from usdskin.warp_kernels.skin import Point, Reflection, base_weight
 from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
+from usdskin.warp_kernels.surface import Point
 
 wp.set_module_options({"enable_backward": False})
 

@@ -11,27 +11,19 @@ from __future__ import annotations
 import warp as wp
 
 from usdskin.warp_kernels.detail import relieved
-from usdskin.warp_kernels.film import (
-    MAX_LAYERS,
-    camera_ray,
-    deposit_dome,
-    first_hit,
-    shines_when_clear,
-    surface_point,
-)
+from usdskin.warp_kernels.film import deposit_dome, shines_when_clear
 from usdskin.warp_kernels.light_links import reaches
 from usdskin.warp_kernels.light_tree import light_number, sample_tree, tree_light
-from usdskin.warp_kernels.sampling import hash_pair, low_discrepancy
-from usdskin.warp_kernels.skin import (
-    Point,
-    Reflection,
+from usdskin.warp_kernels.preview_surface import (
     reflect_preview_surface,
-    reflect_skin,
     shade_emission,
     shade_preview_surface,
-    shade_skin,
 )
+from usdskin.warp_kernels.reflection import Reflection
+from usdskin.warp_kernels.sampling import hash_pair, low_discrepancy
+from usdskin.warp_kernels.skin import reflect_skin, shade_skin
 from usdskin.warp_kernels.structs import CameraRays, Film, Geometry, Lights, Materials
+from usdskin.warp_kernels.surface import Point
 from usdskin.warp_kernels.trace_bounce import bounce
 from usdskin.warp_kernels.trace_diffuse import beam_share, shade_beam, shade_local_light
 from usdskin.warp_kernels.trace_gloss import deposit_gloss, lobes_towards, shine
@@ -42,6 +34,14 @@ from usdskin.warp_kernels.trace_structs import (
     LIGHT_DIMENSION,
     SKIN_MIX,
     Trace,
+)
+from usdskin.warp_kernels.view import (
+    MAX_LAYERS,
+    UNKNOWN,
+    beyond,
+    meet,
+    picture_ray,
+    surface_point,
 )
 from usdskin.warp_kernels.visibility import cross_bodies, origin_on, surface_opacity
 
@@ -186,8 +186,6 @@ def _trace_kernel(
     """
     pixel = trace.pixel[wp.tid()]
     index = film.first_pixel + pixel
-    column = index % camera.width
-    row = index / camera.width
     key = hash_pair(trace.key, wp.uint32(index))
     samples = film.sample.shape[0]
     dome = materials.kind.shape[0] - 1
@@ -198,7 +196,6 @@ def _trace_kernel(
     sharpness = 0.25
     times = wp.float32(trace.split)
     for s in range(samples):
-        offset = film.sample[s]
         number = trace.first_sample + s * trace.split
         lens = wp.vec2f(0.0, 0.0)
         if camera.lens_radius > 0.0:
@@ -206,38 +203,18 @@ def _trace_kernel(
                 low_discrepancy(trace.sobol, key, trace.first_camera + s, LENS_DIMENSION),
                 low_discrepancy(trace.sobol, key, trace.first_camera + s, LENS_DIMENSION + 1),
             )
-        ray = camera_ray(
-            camera,
-            wp.float32(column) + 0.5 + offset[0],
-            wp.float32(row) + 0.5 + offset[1],
-            lens,
-        )
-        ray.spread = ray.spread * sharpness
-        ray.width = ray.width * sharpness
+        ray = picture_ray(camera, index, film.sample[s], lens, sharpness)
         clear = float(1.0)
         start = float(0.0)
         seen_through = int(1)
         for layer in range(MAX_LAYERS):
-            face = int(-1)
-            at = wp.vec3f(0.0, 0.0, 0.0)
+            known = int(UNKNOWN)
             if layer == 0 and rasterized:
-                face = film.face[pixel, s]
-                if face >= 0:
-                    at = first_hit(geometry, ray, face)
-            else:
-                hit = wp.mesh_query_ray(
-                    geometry.mesh,
-                    ray.origin + start * ray.direction,
-                    ray.direction,
-                    ray.length - start,
-                )
-                if hit.result:
-                    face = hit.face
-                    at = wp.vec3f(hit.u, hit.v, hit.t)
-            if face < 0:
+                known = film.face[pixel, s]
+            met = meet(geometry, ray, start, known)
+            if met.face < 0:
                 break
-            distance = start + at[2]
-            point = surface_point(geometry, ray, face, at[0], at[1], distance)
+            point = surface_point(geometry, ray, met)
             if (materials.flags[point.material] & 64) != 0:
                 point = relieved(geometry, materials, point)
             opacity = surface_opacity(geometry, materials, point)
@@ -263,7 +240,7 @@ def _trace_kernel(
                     )  # fmt: skip
             alpha += clear * opacity
             clear = clear * (1.0 - opacity)
-            start = distance * 1.000001 + 1.0e-6
+            start = beyond(met.distance)
             if clear < 1.0e-4 or start >= ray.length:
                 seen_through = 0
                 break

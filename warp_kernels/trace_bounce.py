@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import warp as wp
 
-from usdskin.warp_kernels.film import Ray, surface_point
+from usdskin.warp_kernels.diffuse import light_of, linked
 from usdskin.warp_kernels.light_tree import light_number, sample_tree, tree_light
 from usdskin.warp_kernels.lookup import frame_coordinates
+from usdskin.warp_kernels.preview_surface import reflect_preview_surface
+from usdskin.warp_kernels.reflection import Reflection, base_weight, deposit
 from usdskin.warp_kernels.sampling import TWO_PI, around, hash_pair, low_discrepancy
-from usdskin.warp_kernels.skin import (
-    Point,
-    Reflection,
-    base_weight,
-    deposit,
-    light_of,
-    linked,
-    read_input,
-    reflect_preview_surface,
-    reflect_skin,
-)
+from usdskin.warp_kernels.skin import reflect_skin
 from usdskin.warp_kernels.structs import INPUT_EMISSION, Film, Geometry, Lights, Materials
+from usdskin.warp_kernels.surface import Point, read_input
 from usdskin.warp_kernels.trace_structs import (
     BOUNCE_DIMENSION,
     FAR,
@@ -27,6 +20,7 @@ from usdskin.warp_kernels.trace_structs import (
     SKIN_MIX,
     Trace,
 )
+from usdskin.warp_kernels.view import UNKNOWN, Ray, meet, surface_point
 from usdskin.warp_kernels.visibility import cross_bodies, gap_of, origin_on, surface_opacity
 
 wp.set_module_options({"enable_backward": False})
@@ -58,10 +52,11 @@ def bounce(
     ray.origin = point.position + gap_of(point.size) * point.geometric
     ray.direction = toward
     ray.spread = 0.1
-    hit = wp.mesh_query_ray(geometry.mesh, ray.origin, toward, FAR)
-    if not hit.result:
+    ray.length = FAR
+    met = meet(geometry, ray, 0.0, UNKNOWN)
+    if met.face < 0:
         return 0.0
-    other = surface_point(geometry, ray, hit.face, hit.u, hit.v, hit.t)
+    other = surface_point(geometry, ray, met)
     opacity = surface_opacity(geometry, materials, other)
     h = other.material
     passes = int(1)

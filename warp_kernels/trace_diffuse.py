@@ -6,16 +6,11 @@ import warp as wp
 
 from usdskin.warp_kernels.light_links import reaches
 from usdskin.warp_kernels.local_lights import sample_local_light
+from usdskin.warp_kernels.reflection import Reflection, base_weight, deposit
 from usdskin.warp_kernels.sampling import hash_pair, low_discrepancy
-from usdskin.warp_kernels.skin import (
-    Point,
-    Reflection,
-    base_weight,
-    deposit,
-    passage_entry,
-    passage_weight,
-)
+from usdskin.warp_kernels.skin import passage_entry, passage_weight
 from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
+from usdskin.warp_kernels.surface import Point
 from usdskin.warp_kernels.trace_gloss import deposit_gloss, lobes_towards
 from usdskin.warp_kernels.trace_structs import Trace
 from usdskin.warp_kernels.visibility import Crossing, cross_bodies, origin_on

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import warp as wp
 
+from usdskin.warp_kernels.gloss import first_glossy_row, ggx
 from usdskin.warp_kernels.light_links import reaches
 from usdskin.warp_kernels.light_tree import dome_texel_towards, tree_density
 from usdskin.warp_kernels.local_lights import intersect_local_light, local_light_pdf
+from usdskin.warp_kernels.reflection import Reflection, deposit
 from usdskin.warp_kernels.sampling import TWO_PI, around
-from usdskin.warp_kernels.skin import Point, Reflection, deposit, first_glossy_row, ggx
 from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
+from usdskin.warp_kernels.surface import Point
 from usdskin.warp_kernels.trace_structs import FAR, Trace
 from usdskin.warp_kernels.visibility import cross_bodies, origin_on
 

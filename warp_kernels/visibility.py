@@ -9,8 +9,8 @@ from __future__ import annotations
 import warp as wp
 
 from usdskin.warp_kernels.light_links import LightLinks, shades
-from usdskin.warp_kernels.skin import Point, read_input
 from usdskin.warp_kernels.structs import INPUT_OPACITY, INPUT_THICKNESS, Geometry, Materials
+from usdskin.warp_kernels.surface import Point, read_input
 
 wp.set_module_options({"enable_backward": False})
 

@@ -1,0 +1,95 @@
+"""Reflections of prefiltered light by GGX lobes."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from usdskin.warp_kernels.diffuse import first_lamp
+from usdskin.warp_kernels.lookup import PI, frame_coordinates, lookup_fresnel, lookup_gloss
+from usdskin.warp_kernels.reflection import Reflection, deposit
+from usdskin.warp_kernels.structs import Film, Lights, Materials
+from usdskin.warp_kernels.surface import Point
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def widened(alpha: wp.float32, variance: wp.float32) -> wp.float32:
+    """Return a GGX alpha with the relief below the footprint: alpha^2 is a variance of slopes."""
+    if variance <= 0.0:
+        return alpha
+    return wp.min(wp.sqrt(alpha * alpha + variance), 1.0)
+
+
+@wp.func
+def ggx(alpha: wp.float32, nh: wp.float32, nl: wp.float32, nv: wp.float32) -> wp.float32:
+    """Return D G2 / (4 n.v) of the GGX microfacet lobe (Walter et al. 2007, Heitz 2014)."""
+    a2 = alpha * alpha
+    d = nh * nh * (a2 - 1.0) + 1.0
+    density = a2 / (PI * d * d)
+    mask = nv * wp.sqrt(a2 + (1.0 - a2) * nl * nl) + nl * wp.sqrt(a2 + (1.0 - a2) * nv * nv)
+    return density * nl / (2.0 * wp.max(mask, 1.0e-7))
+
+
+@wp.func
+def _lobe(
+    lights: Lights, group: wp.int32, alpha: wp.float32, point: Point, nv: wp.float32,
+    coordinates: wp.vec2f, tint: wp.float32, white: wp.float32,
+) -> wp.vec4f:  # fmt: skip
+    """Return light reflected by one GGX lobe with Fresnel tint F0 + white (1 - F0) Schlick.
+
+    ``tint`` and ``white`` select the two parts: F0 times x, and y, of the directional albedo.
+    """
+    response = lookup_fresnel(lights, alpha, nv)
+    part = tint * response[0] + white * response[1]
+    total = part * lookup_gloss(lights, group, alpha, coordinates)
+    for k in range(first_lamp(lights, group), lights.gloss_end[group]):
+        toward = lights.lamp_center[k]
+        nl = wp.dot(point.normal, toward)
+        if nl > 0.0:
+            half = wp.normalize(toward + point.view)
+            size = wp.length(lights.lamp_azimuth[k])
+            wide = wp.clamp(alpha + 0.5 * size, 1.0e-3, 1.0)
+            rise = wp.pow(1.0 - wp.clamp(wp.dot(point.view, half), 0.0, 1.0), 5.0)
+            lobe = ggx(wide, wp.dot(point.normal, half), nl, nv)
+            total += (lobe * (tint * (1.0 - rise) + white * rise)) * lights.lamp_flux[k]
+    return total
+
+
+@wp.func
+def first_glossy_row(lights: Lights, materials: Materials, material: wp.int32) -> wp.int32:
+    """Return the row of a material's white reflections, which follow its diffuse rows."""
+    passes = 1
+    if materials.kind[material] == 1:
+        passes = 2 + 2 * materials.passage_rank[material]
+    return passes * materials.weight_count[material] * lights.group_count
+
+
+@wp.func
+def shade_gloss(
+    lights: Lights, materials: Materials, film: Film, pixel: wp.int32, point: Point, r: Reflection
+) -> wp.float32:
+    """Deposit prefiltered reflections: the white lobes, the clearcoat and the tinted lobe."""
+    if r.shine <= 0.0 and r.coat <= 0.0:
+        return 0.0
+    m = point.material
+    groups = lights.group_count
+    row = first_glossy_row(lights, materials, m)
+    mirror = wp.normalize(2.0 * r.nv * point.normal - point.view)
+    toward = wp.vec2f(0.0, 0.0)
+    y = float(0.0)
+    for g in range(groups):
+        toward = frame_coordinates(lights, g, mirror, toward)
+        light = (1.0 - r.second) * _lobe(lights, g, r.alpha, point, r.nv, toward, r.f0, 1.0)
+        if r.second > 0.0:
+            light += r.second * _lobe(lights, g, r.second_alpha, point, r.nv, toward, r.f0, 1.0)
+        light = r.shine * light
+        if r.coat > 0.0:
+            light += r.coat * _lobe(lights, g, r.coat_alpha, point, r.nv, toward, 0.04, 1.0)
+        y += deposit(materials, film, pixel, m, row + g, light)
+        if r.tints > 0:
+            light = r.shine * _lobe(lights, g, r.alpha, point, r.nv, toward, 1.0, 0.0)
+            for j in range(r.tints):
+                at = row + (1 + j) * groups + g
+                y += deposit(materials, film, pixel, m, at, r.tint[wp.min(j, 3)] * light)
+    return y
