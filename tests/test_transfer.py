@@ -2,6 +2,7 @@
 
 import json
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -259,6 +260,45 @@ def test_a_picture_with_transfer_is_the_traced_one(room, stage):
     assert abs((baked - traced).mean()) < 0.004 * peak
     if plain is not None:
         assert np.abs(baked - traced).mean() < 0.2 * np.abs(plain - traced).mean()
+
+
+TURNTABLE = """#usda 1.0
+(
+    metersPerUnit = 1
+    upAxis = "Y"
+    subLayers = [@./stage.usda@]
+)
+over "World"
+{
+    over "Camera"
+    {
+        float focalLength.timeSamples = {1: 2, 3: 1.4}
+    }
+    over "Dome"
+    {
+        float3 xformOp:rotateXYZ.timeSamples = {1: (0, 0, 0), 2: (0, 70, 0), 3: (0, 70, 0)}
+    }
+    over "Skin"
+    {
+        float inputs:skin:wrap.timeSamples = {1: 0.3, 2: 0.3, 3: 0.5}
+    }
+}
+"""
+
+
+def test_frames_with_transfer_are_those_rendered_alone(room):
+    """Light, camera and wrap change; what was baked stays right, and is not mixed up."""
+    stage = room / "turntable.usda"
+    stage.write_text(TURNTABLE)
+    arguments = ["-q", "--device", "cpu", "render", str(stage)]
+    small = ["-r", "24", "24", "-p", "4", "--no-png"]
+    assert main([*arguments, str(room / "together.####.exr"), "-f", "1-3", *small]) == 0
+    pictures = [picture(room / f"together.{number:04d}.exr") for number in (1, 2, 3)]
+    for number, found in enumerate(pictures, 1):
+        alone = room / f"alone.{number:04d}.exr"
+        assert main([*arguments, str(alone), "-f", str(number), *small]) == 0
+        np.testing.assert_array_equal(found, picture(alone))
+    assert all((one != other).any() for one, other in pairwise(pictures))
 
 
 def test_a_wall_hides_what_would_be_mirrored(tmp_path):
