@@ -278,6 +278,28 @@ def test_variants_and_session_opinions_choose_what_is_read(tmp_path):
     assert hidden.meshes == ()
 
 
+UNPREPARED = """
+def Xform "Sitter" (
+    variants = { string subject = "person" }
+    prepend variantSets = "subject"
+)
+{
+    variantSet "subject" = {
+        "person" { def "Head" (references = @./not_there.usda@) {} }
+        "bust" { def Sphere "Bust" {} }
+    }
+}
+"""
+
+
+def test_files_that_a_variant_does_not_need_are_not_missed(here, capsys):
+    path = write_stage(Path(), UNPREPARED + 'def Camera "Camera" {}\n')
+    chosen = ["--variant", "/Sitter{subject=bust}"]
+    for flags, is_missed in (([], True), (chosen, False)):
+        cli.main(["render", str(path), "x.exr", "-r", "4", "4", *flags])
+        assert ("not_there.usda" in capsys.readouterr().err) == is_missed
+
+
 def test_the_strongest_sublayer_counts_and_inactive_prims_do_not(tmp_path):
     (tmp_path / "weak.usda").write_text("#usda 1.0\n" + triangle("A") + triangle("B"))
     strong = 'over "A"\n{\n    point3f[] points = [(0, 0, 7), (1, 0, 7), (0, 1, 7)]\n}\n'

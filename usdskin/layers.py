@@ -12,7 +12,7 @@ import math
 import os
 import stat
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -66,13 +66,18 @@ def corruption_as_errors(path: str | Path) -> Iterator[None]:
         raise LayerError(f"{path}: holds text that is not UTF-8; {_REMEDY}") from None
 
 
-def open_stage(path: str | Path, notes: list[Note] | None = None) -> Usd.Stage:
+def open_stage(
+    path: str | Path,
+    notes: list[Note] | None = None,
+    prepare: Callable[[Usd.Stage], None] | None = None,
+) -> Usd.Stage:
     """Open a stage and check what would hang, mislead or crash its readers.
 
     Args:
         path: Layer to open.
         notes: Takes what did not compose (missing references, cycles), one note each. Without a
             list those are errors.
+        prepare: Selects variants and the like before the stage is checked.
 
     Returns:
         The stage, with all payloads loaded.
@@ -84,6 +89,8 @@ def open_stage(path: str | Path, notes: list[Note] | None = None) -> Usd.Stage:
     """
     ensure_registered()
     stage = _open(str(path))
+    if prepare is not None:
+        prepare(stage)
     _check_time_codes(stage)
     _check_units(stage)
     problems = [(str(error.rootSite.path), _flat(str(error))) for error in _errors_of(stage)]

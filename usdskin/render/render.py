@@ -44,7 +44,7 @@ from usdskin.render.motion import (
 )
 from usdskin.render.opening import opened
 from usdskin.render.outputs import Shot, matte_names, previewing, write_picture
-from usdskin.render.overrides import RenderOverrides, apply_overrides
+from usdskin.render.overrides import RenderOverrides
 from usdskin.render.products import Product, prepare_folders
 from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
 from usdskin.render.traced import Sampling, integrate_traced, sampling_key
@@ -73,8 +73,7 @@ def render_stage(
     """
     begun = clock.perf_counter()
     report = RenderReport([], [])
-    with opened(stage_path, report.notes) as stage:
-        apply_overrides(stage, overrides)
+    with opened(stage_path, overrides, report.notes) as stage:
         job = resolve_settings(stage, overrides, output, report.notes)
         prepare_folders(file for product in job.products for file in product.files)
         cache = FrameCache(find_changes(stage) if len(job.frames) > 1 else EVERYTHING)

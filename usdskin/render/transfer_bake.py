@@ -26,7 +26,7 @@ from usdskin.progress import Progress
 from usdskin.render.materials import SkinMaterial
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.opening import opened
-from usdskin.render.overrides import RenderOverrides, apply_overrides
+from usdskin.render.overrides import RenderOverrides
 from usdskin.render.scene import Scene, read_scene
 from usdskin.render.settings import RenderSettings, read_settings
 from usdskin.render.surface_rows import body_reach
@@ -118,9 +118,8 @@ def bake_transfer(
     check_output(output, [stage_path], [data], step="bake")
     sphere = transfer_sphere(ring_count(count))
     notes: list[Note] = []
-    with opened(stage_path, notes) as stage:
+    with opened(stage_path, overrides, notes) as stage:
         _check_replaced(stage, output)
-        apply_overrides(stage, overrides)
         settings = read_settings(stage, overrides)
         time = _time(stage, overrides)
         scene = read_scene(stage, time, settings, notes, unlit=True)
