@@ -9,7 +9,7 @@ import numpy as np
 from usdskin.notes import Note
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.opening import opened
-from usdskin.render.overrides import RenderOverrides, apply_overrides
+from usdskin.render.overrides import RenderOverrides
 from usdskin.render.scene import Scene, read_scene
 from usdskin.render.settings import resolve_settings
 
@@ -56,8 +56,7 @@ def read_stage(
     """Return a stage's scene at a frame, and the notes of reading it."""
     notes: list[Note] = []
     overrides = RenderOverrides(frames=None if number is None else [number], **flags)  # type: ignore[arg-type]
-    with opened(path, notes) as stage:
-        apply_overrides(stage, overrides)
+    with opened(path, overrides, notes) as stage:
         job = resolve_settings(stage, overrides, Path("o.exr"), notes)
         scene = read_scene(stage, job.frames[0].time, job.settings, notes)
     return scene, notes

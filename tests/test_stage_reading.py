@@ -285,15 +285,23 @@ def Xform "Sitter" (
 )
 {
     variantSet "subject" = {
-        "person" { def "Head" (references = @./not_there.usda@) {} }
-        "bust" { def Sphere "Bust" {} }
+        "person" {
+            def "Head" (references = @./not_there.usda@)
+            {
+            }
+        }
+        "bust" {
+            def Sphere "Bust"
+            {
+            }
+        }
     }
 }
 """
 
 
 def test_files_that_a_variant_does_not_need_are_not_missed(here, capsys):
-    path = write_stage(Path(), UNPREPARED + 'def Camera "Camera" {}\n')
+    path = write_stage(Path(), UNPREPARED + prim("Camera", "Camera"))
     chosen = ["--variant", "/Sitter{subject=bust}"]
     for flags, is_missed in (([], True), (chosen, False)):
         cli.main(["render", str(path), "x.exr", "-r", "4", "4", *flags])

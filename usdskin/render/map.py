@@ -65,21 +65,19 @@ def write_map(
     notes: list[Note] = []
     width = _checked_width(overrides, output)
     prepare_folders([output])
-    with opened(layer_path, notes) as stage:
-        settings = read_settings(
-            stage,
-            RenderOverrides(
-                wavelength_nm=overrides.wavelength_nm,
-                observer=overrides.observer,
-                illuminant=overrides.illuminant,
-                bad_pixels=overrides.bad_pixels,
-                ev=overrides.ev,
-                white=overrides.white,
-                view=overrides.view,
-                threads=overrides.threads,
-                device=overrides.device,
-            ),
-        )
+    flags = RenderOverrides(
+        wavelength_nm=overrides.wavelength_nm,
+        observer=overrides.observer,
+        illuminant=overrides.illuminant,
+        bad_pixels=overrides.bad_pixels,
+        ev=overrides.ev,
+        white=overrides.white,
+        view=overrides.view,
+        threads=overrides.threads,
+        device=overrides.device,
+    )
+    with opened(layer_path, flags, notes) as stage:
+        settings = read_settings(stage, flags)
         time = (
             Usd.TimeCode.EarliestTime()
             if overrides.frame is None
