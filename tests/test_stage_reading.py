@@ -301,7 +301,7 @@ def Xform "Sitter" (
 
 
 def test_files_that_a_variant_does_not_need_are_not_missed(here, capsys):
-    path = write_stage(Path(), UNPREPARED + prim("Camera", "Camera"))
+    path = write_stage(Path(), UNPREPARED)
     chosen = ["--variant", "/Sitter{subject=bust}"]
     for flags, is_missed in (([], True), (chosen, False)):
         cli.main(["render", str(path), "x.exr", "-r", "4", "4", *flags])
