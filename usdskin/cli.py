@@ -24,11 +24,13 @@ from usdskin.commands import (
     capture,
     estimate,
     files,
+    goniometer,
     ingest,
     photograph,
     photograph_skin,
     pictures,
     plot,
+    prove,
     system,
 )
 from usdskin.commands.options import StepCommand, global_options, with_paragraph_marks
@@ -90,6 +92,7 @@ for _command in (
     *files.MAKING,
     *photograph.COMMANDS,
     *photograph_skin.COMMANDS,
+    *goniometer.COMMANDS,
     *ingest.COMMANDS,
     *capture.COMMANDS,
     *calibrate.COMMANDS,
@@ -97,6 +100,7 @@ for _command in (
     *bake.COMMANDS,
     *pictures.COMMANDS,
     *plot.COMMANDS,
+    *prove.COMMANDS,
     *files.READING,
     *system.COMMANDS,
 ):
