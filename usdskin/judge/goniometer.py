@@ -2,10 +2,10 @@
 
     measure_skin(skin, output, GoniometerSetup()) -> samples.usda
 
-The sample lies flat, the camera looks at it from one side, and one lamp of parallel light goes from
-the normal to beyond the shadow line. Equation (1) for one lamp is evaluated in float64, per
-wavelength, and the instrument's noise is added. Where light passes the skin, some readings are taken
-with a sheet of it, of known thickness, between lamp and sample, which is what tells delta.
+The sample lies flat, the camera looks at it from one side, and one lamp of parallel light goes
+from the normal to beyond the shadow line. Equation (1) for one lamp is evaluated in float64, per
+wavelength, and the instrument's noise is added. Where light passes the skin, some readings are
+taken with a sheet of it, of known thickness, between lamp and sample, which is what tells delta.
 
 Reads:  a stage with a Material that has ``SkinMaterialAPI``.
 Writes: ``samples.usda`` (``SkinSampleAPI``) for `usdskin estimate skin`.
@@ -111,7 +111,7 @@ def find_skin(stage: Usd.Stage, material: str | None = None) -> Usd.Prim:
     skins = [prim for prim in stage.Traverse() if prim.HasAPI("SkinMaterialAPI")]
     if len(skins) != 1:
         raise LayerError(
-            f"{name}: has {len(skins)} Materials with SkinMaterialAPI; name the one that is measured"
+            f"{name}: has {len(skins)} Materials with SkinMaterialAPI; name the one to measure"
         )
     return skins[0]
 

@@ -23,7 +23,7 @@ from usdskin.estimate.light.step import estimate_light
 from usdskin.estimate.skin.step import SkinOptions, estimate_skin
 from usdskin.judge.goniometer import GoniometerSetup, has_opacity, read_goniometer
 from usdskin.judge.proof_bars import bars_of
-from usdskin.judge.proof_compare import compare
+from usdskin.judge.proof_compare import compare_render
 from usdskin.judge.proof_ideal import expose_exactly, measure_exactly
 from usdskin.judge.proof_light import (
     TrueLight,
@@ -45,8 +45,8 @@ from usdskin.judge.proof_shoot import (
     take_chart,
     take_photographs,
 )
-from usdskin.judge.proof_shots import ShotParts, write_shot
-from usdskin.judge.proof_skin import even_skin, write_true_skin
+from usdskin.judge.proof_shots import ShotParts, write_base, write_shot
+from usdskin.judge.proof_skin import SHOT_SKIN, even_skin, write_true_skin
 from usdskin.judge.proof_spectra import (
     light_spectra,
     patch_spectra,
@@ -128,6 +128,7 @@ class _Street:
         self.progress = progress or SilentProgress()
         self._tell = tell
         self.place = Place(output)
+        self.base = self.place.shot("base")
         self.journal = Journal(output, options.resume)
         self.title = folder.resolve().name
         self.truth: TrueLight = TrueLight(self.place.truth_light, {})
@@ -136,6 +137,7 @@ class _Street:
         """Do all steps and write ``proof.json``."""
         try:
             self._true_light()
+            self._base_shot()
             self._true_skin()
             if self.options.capture == "ideal":
                 self._expose_exactly()
@@ -199,20 +201,34 @@ class _Street:
             )
         self.truth = true_light(place, record.facts["classes"])
 
+    def _base_shot(self) -> None:
+        variants = {
+            ("/Shot/Subject", "subject"): self.options.subject,
+            (SHOT_SKIN, "tone"): self.options.tone,
+        }
+        self._step(
+            "shot",
+            "take the shot of the set",
+            "",
+            [self.shot],
+            lambda doing: doing.writes.append(write_base(self.shot, variants, self.base)),
+            {f"{path}{{{name}}}": chosen for (path, name), chosen in variants.items()},
+        )
+
     def _true_skin(self) -> None:
-        options = self.options
+        lustre, place = self.options.lustre, self.place
 
         def run(doing: Doing) -> None:
-            skin = even_skin(self.shot, options.subject, options.tone, options.lustre)
-            doing.writes.append(write_true_skin(skin, self.shot, self.place.truth_skin))
+            skin = even_skin(self.base, lustre)
+            doing.writes.append(write_true_skin(skin, self.base, place.truth_skin))
 
         self._step(
             "skin",
             "take the skin of the shot, the same everywhere",
             "",
-            used_files(open_stage(self.shot)),
+            used_files(open_stage(self.base)),
             run,
-            {"subject": options.subject, "tone": options.tone, "lustre": options.lustre},
+            {"lustre": lustre},
         )
 
     # --- The shoot ----------------------------------------------------------------------------
@@ -422,16 +438,15 @@ class _Street:
 
         def run(doing: Doing) -> None:
             for name, (light, skin) in parts.items():
-                shot = ShotParts(light, skin, thickness, self.options.subject)
-                doing.writes.append(write_shot(self.shot, shot, place.shot(name)))
+                shot = ShotParts(light, skin, thickness)
+                doing.writes.append(write_shot(self.base, shot, place.shot(name)))
 
         self._step(
             "shots",
             "write the three shots",
             "",
-            [self.shot, *dict.fromkeys(file for pair in parts.values() for file in pair)],
+            [self.base, *dict.fromkeys(file for pair in parts.values() for file in pair)],
             run,
-            {"subject": self.options.subject},
         )
 
     def _render(self) -> list[dict[str, Any]]:
@@ -487,15 +502,15 @@ class _Street:
                 def run(
                     doing: Doing, truth: Path = truth, picture: Path = picture, maps: Path = maps
                 ) -> None:
-                    doing.facts["result"] = compare(truth, picture, maps, options.observer)
-                    doing.writes += [
-                        file for file in (maps, maps.with_suffix(".png")) if file.exists()
-                    ]
+                    done = compare_render(truth, picture, maps, options.observer, place)
+                    doing.writes += done.writes
+                    doing.notes += done.notes
+                    doing.facts.update(done.facts)
 
                 record = self._step(
                     f"compare-{name}-{integrator}",
                     f"compare {name} by {integrator} with the truth",
-                    place.command("compare", truth, picture, "-o", maps.parent),
+                    place.command("compare", truth, picture, "--select", SHOT_SKIN, "-o", maps),
                     [truth, picture, spectral_of(truth), spectral_of(picture)],
                     run,
                 )

@@ -1,36 +1,30 @@
-"""Stand-in."""
+"""How far a picture of a proof is from the true one: the skin alone is judged."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import numpy as np
+from usdskin.judge.comparison import CompareOptions, compare_pictures
+from usdskin.judge.comparison_maps import write_maps
+from usdskin.judge.proof_place import Place
+from usdskin.judge.proof_record import Doing
+from usdskin.judge.proof_skin import SHOT_SKIN
 
-from usdskin.differences import delta_e_of_signals, goodness_of_fit
-from usdskin.images import read_image, read_spectral
-from usdskin.judge.proof_render import spectral_of
 
+def compare_render(truth: Path, picture: Path, maps: Path, observer: str, place: Place) -> Doing:
+    """Compare a picture with the truth where it shows skin.
 
-def compare(truth: Path, picture: Path, maps: Path, observer: str) -> dict[str, Any]:
-    """Compare."""
-    (nm, a), (_, b) = (read_spectral(spectral_of(path)) for path in (truth, picture))
-    alpha = read_image(truth, channels=("A",)).pixels[..., 0]
-    mask = alpha > 0.999
-    x, y = a[mask].astype(float), b[mask].astype(float)
-    white = x[np.argmax(x.sum(axis=1))] / 0.5
-    d = delta_e_of_signals(y, x, white, nm)
-    g = goodness_of_fit(y, x)
-    stats = {
-        "mean": float(d.mean()),
-        "median": float(np.median(d)),
-        "p95": float(np.percentile(d, 95)),
-        "max": float(d.max()),
-    }
-    return {
-        "deltaE2000": stats,
-        "mask": {"from": "alpha", "pixels": int(mask.sum()), "share": float(mask.mean())},
-        "spectral": {"gfc": float(g.mean()), "p05gfc": float(np.percentile(g, 5)), "rmse": 0.0},
-        "regions": [],
-        "observer": observer,
-    }
+    Args:
+        truth: Picture of the true light and skin.
+        picture: Picture of the estimates.
+        maps: EXR to write; a PNG comes to lie beside it.
+        observer: Whose color-matching functions.
+        place: The proof's folder, which paths are told from.
+    """
+    options = CompareOptions(select=(SHOT_SKIN,), observer=observer)  # type: ignore[arg-type]
+    found = compare_pictures(truth, picture, options)
+    maps.parent.mkdir(parents=True, exist_ok=True)
+    written = write_maps(found, maps)
+    result = found.as_json()
+    result |= {"truth": place.name_of(truth), "picture": place.name_of(picture)}
+    return Doing(writes=list(written), notes=list(found.notes), facts={"result": result})

@@ -19,7 +19,7 @@ from usdskin.render.overrides import RenderOverrides
 from usdskin.render.preview import render_png
 from usdskin.render.render import render_stage
 
-AOVS = ("N", "albedo", "primId", "irradiance")
+AOVS = ("N", "albedo", "primId", "irradiance", "cryptomatte")
 """Data that comparisons take masks and white from."""
 
 _NUMBERS = re.compile(r"\(([-+.\deE]+), ([-+.\deE]+), ([-+.\deE]+)\)")
@@ -41,7 +41,7 @@ def render_shot(
     overrides = RenderOverrides(
         width=options.size.width,
         integrator=integrator,
-        samples=options.size.samples if integrator == "traced" else None,
+        samples=samples_of(integrator, options),
         seed=options.seed,
         spectral_output=True,
         observer=options.observer,
@@ -57,10 +57,14 @@ def render_shot(
 def render_words(output: Path, integrator: Integrator, options: ProofOptions) -> list[str | Path]:
     """Return the same as words of a command line."""
     words: list[str | Path] = [output, "--integrator", integrator, "-w", str(options.size.width)]
-    if integrator == "traced":
-        words += ["-p", str(options.size.samples)]
+    words += ["-p", str(samples_of(integrator, options))]
     words += ["--seed", str(options.seed), "--spectral", "--aov", ",".join(AOVS)]
     return [*words, "--dome", "hide", "--observer", options.observer]
+
+
+def samples_of(integrator: Integrator, options: ProofOptions) -> int:
+    """Return the samples per pixel: maps have no noise, so that edges alone need them."""
+    return options.size.samples if integrator == "traced" else max(1, options.size.samples // 4)
 
 
 def spectral_of(picture: Path) -> Path:

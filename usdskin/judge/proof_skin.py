@@ -28,38 +28,6 @@ SHOT_SKIN = "/Shot/Skin"
 _SPACE = "lin_rec709_scene"
 
 
-def open_shot(shot: Path, subject: str | None, tone: str | None) -> Usd.Stage:
-    """Open a shot with variants chosen, in its session layer.
-
-    Args:
-        shot: The shot.
-        subject: Variant of ``/Shot/Subject``; None: the shot's own.
-        tone: Variant of the skin; None: the shot's own.
-
-    Raises:
-        LayerError: The shot cannot be read, or has no such variant.
-    """
-    stage = open_stage(shot)
-    stage.SetEditTarget(stage.GetSessionLayer())
-    for path, name, chosen in (
-        ("/Shot/Subject", "subject", subject),
-        (SHOT_SKIN, "tone", tone),
-    ):
-        if chosen is None:
-            continue
-        prim = stage.GetPrimAtPath(path)
-        variants = prim.GetVariantSets() if prim else None
-        known = variants.GetVariantSet(name).GetVariantNames() if variants else []
-        if chosen not in known:
-            raise LayerError(
-                f"{shot}: <{path}> has no variant {name}={chosen}; it has "
-                f"{', '.join(known) or 'none'}"
-            )
-        assert variants is not None
-        variants.GetVariantSet(name).SetVariantSelection(chosen)
-    return stage
-
-
 def tones_of(shot: Path) -> list[str]:
     """Return the tones that a shot's skin can have."""
     stage = open_stage(shot)
@@ -69,19 +37,17 @@ def tones_of(shot: Path) -> list[str]:
     return list(prim.GetVariantSets().GetVariantSet("tone").GetVariantNames())
 
 
-def even_skin(shot: Path, subject: str | None, tone: str | None, lustre: bool) -> SkinParameters:
+def even_skin(shot: Path, lustre: bool) -> SkinParameters:
     """Return the skin of a shot without its textures.
 
     Args:
         shot: The shot.
-        subject: Variant of the subject.
-        tone: Variant of the skin.
         lustre: Whether it keeps what its surface mirrors.
 
     Raises:
         LayerError: The shot has no skin, or one that is nothing but textures.
     """
-    stage = open_shot(shot, subject, tone)
+    stage = open_stage(shot)
     prim = stage.GetPrimAtPath(SHOT_SKIN)
     if not prim or not prim.HasAPI("SkinMaterialAPI"):
         raise LayerError(
