@@ -32,6 +32,7 @@ from usdskin.commands import (
     pictures,
     plot,
     prove,
+    solve,
     system,
 )
 from usdskin.commands.options import StepCommand, global_options, with_paragraph_marks
@@ -91,6 +92,7 @@ def cli() -> None:
 
 for _command in (
     *files.MAKING,
+    *solve.COMMANDS,
     *photograph.COMMANDS,
     *photograph_skin.COMMANDS,
     *goniometer.COMMANDS,
