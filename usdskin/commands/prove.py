@@ -107,6 +107,7 @@ def prove(
     with Reporter(options) as reporter:
         from usdskin.judge.proof import prove as run
         from usdskin.judge.proof_options import ProofOptions, size_of
+        from usdskin.plots.budget import draw_budget
 
         numbers = ("solve_height", "fisheye", "exposures", "width", "samples")
         size = size_of(given.pop("size"), **{name: given.pop(name) for name in numbers})
@@ -124,6 +125,7 @@ def prove(
             ),
             reporter.progress(),
             lambda step, kept: _tell(reporter, step, kept),
+            draw_budget,
         )
         _judge(reporter, proof)
         reporter.wrote([proof.path])
