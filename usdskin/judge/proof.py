@@ -37,6 +37,7 @@ from usdskin.judge.proof_light import (
 )
 from usdskin.judge.proof_options import ProofOptions
 from usdskin.judge.proof_place import Place
+from usdskin.judge.proof_real import is_real_shoot, prove_shoot
 from usdskin.judge.proof_record import Doing, Journal, StepRecord
 from usdskin.judge.proof_render import develop_like, render_shot, render_words, spectral_of
 from usdskin.judge.proof_shoot import (
@@ -75,7 +76,7 @@ class Proof:
     path: Path
     """``proof.json``."""
 
-    steps: tuple[StepRecord, ...]
+    steps: Sequence[StepRecord]
     """The steps, in order."""
 
     content: Mapping[str, Any]
@@ -98,7 +99,8 @@ def prove(
     """Prove what the chain does to a set.
 
     Args:
-        folder: Holds ``set.usda`` and ``shot.usda``.
+        folder: Holds ``set.usda`` and ``shot.usda``; or, without a truth, ``shoot.usda`` and
+            charts, see ``prove_shoot``.
         output: Folder to fill.
         options: What is proved, and how.
         progress: Told how far each step is.
@@ -108,6 +110,10 @@ def prove(
     Raises:
         UsdSkinError: A step failed, or the folder is no set.
     """
+    if is_real_shoot(Path(folder)):
+        given = options or ProofOptions()
+        given.check()
+        return Proof(*prove_shoot(Path(folder), Path(output), given, progress, tell))
     street = _Street(Path(folder), Path(output), options or ProofOptions(), progress, tell, draw)
     return street.run()
 
@@ -638,6 +644,7 @@ class _Street:
             "title": self.title,
             "settings": self.options.as_json(),
             "layers": layers,
+            "missing": [],
             "pictures": pictures,
             "comparisons": comparisons,
             "spectra": {"wavelengths": DEFAULT_WAVELENGTHS_NM.tolist(), "items": items},
