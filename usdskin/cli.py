@@ -22,13 +22,17 @@ from usdskin.commands import (
     bake,
     calibrate,
     capture,
+    compare,
     estimate,
     files,
+    goniometer,
     ingest,
     photograph,
     photograph_skin,
     pictures,
     plot,
+    prove,
+    solve,
     system,
 )
 from usdskin.commands.options import StepCommand, global_options, with_paragraph_marks
@@ -88,15 +92,19 @@ def cli() -> None:
 
 for _command in (
     *files.MAKING,
+    *solve.COMMANDS,
     *photograph.COMMANDS,
     *photograph_skin.COMMANDS,
+    *goniometer.COMMANDS,
     *ingest.COMMANDS,
     *capture.COMMANDS,
     *calibrate.COMMANDS,
     *estimate.COMMANDS,
     *bake.COMMANDS,
     *pictures.COMMANDS,
+    *compare.COMMANDS,
     *plot.COMMANDS,
+    *prove.COMMANDS,
     *files.READING,
     *system.COMMANDS,
 ):
