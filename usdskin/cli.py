@@ -29,6 +29,7 @@ from usdskin.commands import (
     photograph_skin,
     pictures,
     plot,
+    report,
     system,
 )
 from usdskin.commands.options import StepCommand, global_options, with_paragraph_marks
@@ -97,6 +98,7 @@ for _command in (
     *bake.COMMANDS,
     *pictures.COMMANDS,
     *plot.COMMANDS,
+    *report.COMMANDS,
     *files.READING,
     *system.COMMANDS,
 ):

@@ -1,0 +1,252 @@
+"""Drawings as inline SVG: curves over wavelength, bars, intervals. Colours come from the style."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdskin.judge.report.markup import Markup, element, fragment
+from usdskin.judge.report.shown import number
+
+__all__ = ["BarRow", "Curve", "curves", "intervals", "nice_ticks", "spread_bars"]
+
+FloatArray = NDArray[np.float64]
+
+_CHARACTER = 6.3
+"""Width of a character of the labels, about."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """One curve over wavelength."""
+
+    values: FloatArray
+    """Shape [band_count]."""
+
+    style: str
+    """Class of the line: ``estimate`` (solid) or ``truth`` (dashed)."""
+
+    deviation: FloatArray | None = None
+    """Standard deviation, drawn as a band, shape [band_count]."""
+
+
+def nice_ticks(low: float, high: float, about: int = 4) -> list[float]:
+    """Return round numbers from ``low`` to ``high``, both inside."""
+    if not high > low:
+        return [low]
+    raw = (high - low) / about
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = next(k * power for k in (1.0, 2.0, 2.5, 5.0, 10.0) if k * power >= 0.999 * raw)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [index * step for index in range(first, last + 1)]
+
+
+def tick_text(value: float, step: float) -> str:
+    """Return the label of a tick."""
+    if value == 0.0:
+        return "0"
+    digits = max(0, -math.floor(math.log10(step) + 1e-9)) if step > 0.0 else 0
+    if f"{step:.{digits}f}" != f"{step:g}" and digits < 6:
+        digits += 1
+    return f"{value:.{min(digits, 6)}f}".replace("-", "−")
+
+
+def curves(
+    wavelength_nm: FloatArray,
+    lines: Sequence[Curve],
+    label: str,
+    *,
+    unit: str = "",
+    size: tuple[int, int] = (300, 170),
+) -> Markup:
+    """Return curves over wavelength, the scale of the axis as a power of ten in its unit.
+
+    Args:
+        wavelength_nm: Band centres [nm], shape [band_count].
+        lines: The curves, the first one lowest.
+        label: What is shown, for those who do not see it.
+        unit: Unit of the values.
+        size: Width and height in units of the drawing.
+    """
+    width, height = size
+    left, right, top, bottom = 40.0, 8.0, 18.0, 30.0
+    low, high = _range(lines)
+    exponent = _exponent(max(abs(low), abs(high)))
+    factor = 10.0**-exponent
+    low, high = low * factor, high * factor
+    first, last = float(wavelength_nm[0]), float(wavelength_nm[-1])
+    span = (last - first) or 1.0
+    x = left + (wavelength_nm - first) / span * (width - left - right)
+
+    def up(values: FloatArray | float) -> FloatArray:
+        share = (np.asarray(values, np.float64) - low) / (high - low)
+        inside = height - bottom - share * (height - top - bottom)
+        return np.asarray(np.clip(inside, top - 6.0, height - bottom + 6.0))
+
+    parts = []
+    ticks = nice_ticks(low, high)
+    step = ticks[1] - ticks[0] if len(ticks) > 1 else 1.0
+    for tick in ticks:
+        y = float(up(tick))
+        parts.append(element("line", x1=left, x2=width - right, y1=y, y2=y, class_="grid"))
+        parts.append(element("text", tick_text(tick, step), x=left - 5, y=y + 3.5, class_="end"))
+    for tick in nice_ticks(first, last, 3):
+        at = left + (tick - first) / span * (width - left - right)
+        parts.append(
+            element("line", x1=at, x2=at, y1=height - bottom, y2=height - bottom + 3, class_="axis")
+        )
+        parts.append(element("text", f"{tick:g}", x=at, y=height - bottom + 13, class_="middle"))
+    base = float(up(max(low, 0.0)))
+    parts.append(element("line", x1=left, x2=width - right, y1=base, y2=base, class_="axis"))
+    parts.append(element("text", "nm", x=width - right, y=height - 3, class_="end unit"))
+    scale = "" if exponent == 0 else f"10{_super(exponent)} "
+    if scale or unit:
+        parts.append(element("text", f"{scale}{unit}".strip(), x=2, y=9, class_="unit"))
+    for line in lines:
+        if line.deviation is not None:
+            upper = up((line.values + line.deviation) * factor)
+            lower = up((line.values - line.deviation) * factor)
+            around = _points(np.concatenate([x, x[::-1]]), np.concatenate([upper, lower[::-1]]))
+            parts.append(element("polygon", points=around, class_="deviation"))
+    for line in lines:
+        values = up(line.values * factor)
+        parts.append(element("polyline", points=_points(x, values), class_=line.style))
+    return _drawing(width, height, label, parts)
+
+
+def _range(lines: Sequence[Curve]) -> tuple[float, float]:
+    """Return a range on which a measured curve stays legible though an estimate explodes."""
+    truth = [line.values for line in lines if line.style == "truth"]
+    everything = [
+        line.values + sign * (0.0 if line.deviation is None else line.deviation)
+        for line in lines
+        for sign in (-1.0, 1.0)
+    ]
+    high = max(float(values.max()) for values in everything)
+    low = min(0.0, *(float(values.min()) for values in everything))
+    if truth:
+        peak = max(float(np.abs(values).max()) for values in truth) or high or 1.0
+        high, low = min(high, 2.5 * peak), max(low, -peak)
+    if not high > low:
+        high = low + 1.0
+    return low, low + 1.04 * (high - low)
+
+
+def _exponent(peak: float) -> int:
+    if peak <= 0.0 or 0.01 <= peak < 1000.0:
+        return 0
+    return 3 * math.floor(math.log10(peak) / 3.0)
+
+
+def _super(exponent: int) -> str:
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def _points(x: FloatArray, y: FloatArray) -> str:
+    return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class BarRow:
+    """A bar: a mean, a 95th percentile and perhaps a bound."""
+
+    name: str
+    detail: str
+    mean: float | None
+    p95: float | None
+    bound: float | None = None
+
+
+def spread_bars(rows: Sequence[BarRow], label: str, *, width: int = 640) -> Markup:
+    """Return bars of means with a tick at the 95th percentile, one under the other.
+
+    Args:
+        rows: The bars.
+        label: What is shown, for those who do not see it.
+        width: Width in units of the drawing.
+    """
+    longest = max((len(row.name) for row in rows), default=0)
+    left = min(max(90.0, _CHARACTER * longest + 14.0), 0.42 * width)
+    fits = int((left - 14.0) / _CHARACTER)
+    right, pitch, top = 96.0, 24.0, 6.0
+    height = int(top + pitch * len(rows) + 22.0)
+    values = [value for row in rows for value in (row.mean, row.p95, row.bound) if value]
+    high = max(values, default=1.0)
+    ticks = nice_ticks(0.0, high * 1.02, 5)
+    step = ticks[1] - ticks[0] if len(ticks) > 1 else high
+    scale = (width - left - right) / (high * 1.02)
+    parts = []
+    for tick in ticks:
+        at = left + tick * scale
+        parts.append(element("line", x1=at, x2=at, y1=top, y2=height - 18, class_="grid"))
+        parts.append(element("text", tick_text(tick, step), x=at, y=height - 5, class_="middle"))
+    parts.append(element("text", "ΔE₀₀", x=width, y=height - 5, class_="end unit"))
+    for index, row in enumerate(rows):
+        y = top + pitch * index
+        name = row.name if len(row.name) <= fits else f"{row.name[: fits - 1]}…"
+        tip = element("title", f"{row.name} {row.detail}".strip())
+        parts.append(element("text", tip, name, x=left - 8, y=y + 15, class_="end name"))
+        mean, p95 = row.mean or 0.0, row.p95
+        parts.append(
+            element("rect", x=left, y=y + 5, width=max(mean * scale, 0.5), height=13, class_="bar")
+        )
+        if p95 is not None:
+            at = left + p95 * scale
+            reach = left + mean * scale
+            parts.append(element("line", x1=reach, x2=at, y1=y + 11.5, y2=y + 11.5, class_="reach"))
+            parts.append(element("line", x1=at, x2=at, y1=y + 7, y2=y + 16, class_="reach"))
+        if row.bound is not None:
+            at = left + row.bound * scale
+            parts.append(element("line", x1=at, x2=at, y1=y + 2, y2=y + 21, class_="bound"))
+        shown = f"{number(row.mean)} / {number(row.p95)}"
+        parts.append(element("text", shown, x=width, y=y + 15, class_="end value"))
+    parts.append(element("line", x1=left, x2=left, y1=top, y2=height - 18, class_="axis"))
+    return _drawing(width, height, label, parts)
+
+
+def intervals(rows: Sequence[tuple[str, float, str]], label: str, *, width: int = 420) -> Markup:
+    """Return how many standard deviations estimates lie off the truth, one row each.
+
+    Args:
+        rows: Name, deviation [standard deviations] and what to say of each.
+        label: What is shown, for those who do not see it.
+        width: Width in units of the drawing.
+    """
+    longest = max((len(name) for name, _, _ in rows), default=0)
+    left = min(max(70.0, _CHARACTER * longest + 14.0), 0.4 * width)
+    reach = 4.0
+    pitch, top = 22.0, 6.0
+    height = int(top + pitch * len(rows) + 22.0)
+    scale = (width - left - 14.0) / (2.0 * reach)
+    middle = left + reach * scale
+    end = height - 18.0
+    parts = [
+        element("rect", x=middle - scale * sigma, y=top, width=2 * sigma * scale, height=end - top,
+                class_=f"sigma{sigma}")
+        for sigma in (2, 1)
+    ]  # fmt: skip
+    for tick in range(-4, 5, 1):
+        at = middle + tick * scale
+        if tick % 2 == 0:
+            text = f"{tick}".replace("-", "−") + " σ"
+            parts.append(element("text", text, x=at, y=height - 5, class_="middle"))
+    parts.append(element("line", x1=middle, x2=middle, y1=top, y2=end, class_="axis"))
+    for index, (name, deviation, said) in enumerate(rows):
+        y = top + pitch * index + 11.0
+        at = middle + float(np.clip(deviation, -reach, reach)) * scale
+        parts.append(element("text", name, x=left - 8, y=y + 4, class_="end name"))
+        dot = element("circle", element("title", said), cx=at, cy=y, r=4.5, class_="dot")
+        parts.append(dot)
+        if abs(deviation) > reach:
+            arrow = "›" if deviation > 0 else "‹"
+            parts.append(element("text", arrow, x=at + (7 if deviation > 0 else -11), y=y + 4))
+    return _drawing(width, height, label, parts)
+
+
+def _drawing(width: int, height: int, label: str, parts: Sequence[Markup]) -> Markup:
+    return element("svg", fragment(*parts), viewBox=f"0 0 {width} {height}", role="img",
+                   aria_label=label, class_="plot")  # fmt: skip

@@ -1,0 +1,402 @@
+"""The renders: a wipe between truth and reproduction, the differences, and a read-out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdskin.colorimetry import chromaticity_to_xyz
+from usdskin.errors import ImageError, UsdSkinError
+from usdskin.judge.report.charts import nice_ticks
+from usdskin.judge.report.markup import Markup, element, fragment, json_block
+from usdskin.judge.report.pixels import (
+    DELTA_STEP,
+    LAB_STEP,
+    Maps,
+    bounding_box,
+    lab_of_beauty,
+    labs_agree,
+    pack,
+    pack_spectra,
+    quantized,
+    quantized_delta,
+    read_maps,
+)
+from usdskin.judge.report.proof import Proof
+from usdskin.judge.report.rasters import Raster, beauty_pixels, embed, heat_colors
+from usdskin.judge.report.records import Comparison
+from usdskin.judge.report.shown import figure, note, section
+from usdskin.judge.report.verdict import integrator_title, picture_title
+from usdskin.notes import Note
+
+__all__ = ["RenderViews", "pictures_section", "read_views", "renders_section"]
+
+
+@dataclass(slots=True)
+class View:
+    """One integrator's pictures and what is known of their pixels."""
+
+    integrator: str
+    rasters: dict[str, Raster] = field(default_factory=dict)
+    """By name: truth, light, chain."""
+
+    heats: dict[str, Raster] = field(default_factory=dict)
+    """By name of the reproduction."""
+
+    data: dict[str, Any] = field(default_factory=dict)
+    """For the script."""
+
+
+@dataclass(slots=True)
+class RenderViews:
+    """All renders, by integrator."""
+
+    views: dict[str, View]
+    top: float
+    """Difference at which the colours of the heat maps end."""
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the reproductions, in order."""
+        found = {name for view in self.views.values() for name in view.rasters if name != "truth"}
+        order = {"light": 0, "chain": 1}
+        return sorted(found, key=lambda name: (order.get(name, 2), name))
+
+
+def read_views(proof: Proof, scratch: Path, notes: list[Note]) -> RenderViews:
+    """Read, develop and pack all renders of a proof.
+
+    Args:
+        proof: Names them.
+        scratch: Folder for files of a moment.
+        notes: Takes what cannot be shown.
+    """
+    maps = {item.key: read_maps(proof.file(item.maps)) for item in proof.comparisons if item.maps}
+    top = _heat_top(maps)
+    views = {}
+    integrators = dict.fromkeys(
+        [item.integrator for item in proof.comparisons]
+        + [picture.integrator for picture in proof.pictures]
+    )
+    for integrator in integrators:
+        view = View(integrator)
+        _develop(view, proof, scratch)
+        chosen = [item for item in proof.comparisons if item.integrator == integrator]
+        for item in chosen:
+            if item.key in maps:
+                view.heats[item.name] = embed(heat_colors(maps[item.key].delta_e / top), scratch)
+        of_view = {item.name: maps[item.key] for item in chosen if item.key in maps}
+        if of_view:
+            view.data = _pixel_data(proof, chosen, of_view, notes)
+        views[integrator] = view
+    return RenderViews(views, top)
+
+
+def _heat_top(maps: Mapping[str, Maps]) -> float:
+    """Return a round number that nearly all differences lie below."""
+    found = [item.delta_e[np.isfinite(item.delta_e)] for item in maps.values()]
+    found = [values for values in found if values.size]
+    high = max((float(np.quantile(values, 0.99)) for values in found), default=1.0)
+    return next((top for top in (0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0) if high <= top), 100.0)
+
+
+def _develop(view: View, proof: Proof, scratch: Path) -> None:
+    """Develop the pictures of one integrator by the exposure and white of its truth."""
+    from usdskin.render.preview import develop
+
+    files = {
+        picture.name: picture.beauty
+        for picture in proof.pictures
+        if picture.integrator == view.integrator
+    }
+    white = next(
+        (
+            chromaticity_to_xyz(item.white)
+            for item in proof.comparisons
+            if item.integrator == view.integrator and item.white is not None
+        ),
+        None,
+    )
+    stops: float | None = None
+    for name in sorted(files, key=lambda name: (name != "truth", name)):
+        rgba, space, _ = beauty_pixels(proof.file(files[name]))
+        values, record = develop(
+            rgba,
+            color_space=space,
+            ev="auto" if stops is None else stops,
+            white="none" if white is None else "scene",
+            scene_white_xyz=white,
+        )
+        stops = float(record["usdskin/ev"])
+        view.rasters[name] = embed(values, scratch)
+
+
+def _pixel_data(
+    proof: Proof, comparisons: list[Comparison], maps: dict[str, Maps], notes: list[Note]
+) -> dict[str, Any]:
+    shapes = {item.delta_e.shape for item in maps.values()}
+    if len(shapes) != 1:
+        raise ImageError(
+            f"{proof.folder}: the difference maps of {comparisons[0].integrator} differ in size; "
+            "prove again."
+        )
+    inside: NDArray[np.bool_] = np.zeros(shapes.pop(), bool)
+    for item in maps.values():
+        inside |= np.isfinite(item.delta_e)
+    box = bounding_box(inside)
+    labs: dict[str, str] = {}
+    rows = {}
+    for item in comparisons:
+        if item.name not in maps:
+            continue
+        delta = maps[item.name].delta_e
+        row: dict[str, Any] = {"delta": pack(quantized_delta(delta[box.slices])[np.newaxis])}
+        colors = _colors(proof, item, maps[item.name], notes)
+        if colors is not None:
+            for key, lab in zip(("truth", "lab"), colors, strict=True):
+                cut = np.moveaxis(quantized(lab[box.slices], LAB_STEP), -1, 0)
+                text = pack(cut * inside[box.slices])
+                row[key] = labs.setdefault(text, f"p{len(labs)}")
+        rows[item.name] = row
+    spectra = _spectra(proof, comparisons[0].integrator, inside, notes)
+    return {
+        "width": inside.shape[1],
+        "height": inside.shape[0],
+        "box": box.as_json(),
+        "planes": {name: text for text, name in labs.items()},
+        "pictures": rows,
+        "spectra": spectra,
+    }
+
+
+def _colors(
+    proof: Proof, item: Comparison, maps: Maps, notes: list[Note]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    truth = lab_of_beauty(proof.file(item.truth), item)
+    picture = lab_of_beauty(proof.file(item.picture), item)
+    if truth is None or picture is None:
+        return None
+    if truth.shape != picture.shape or truth.shape[:2] != maps.delta_e.shape:
+        raise ImageError(
+            f"{proof.folder / item.picture}: differs in size from its truth or its maps; "
+            "prove again."
+        )
+    if not labs_agree(truth, picture, maps):
+        message = "its colours are not those of the difference maps; the read-out leaves them out"
+        notes.append(Note("colors-not-shown", item.picture, message))
+        return None
+    return truth, picture
+
+
+def _spectra(
+    proof: Proof, integrator: str, inside: NDArray[np.bool_], notes: list[Note]
+) -> dict[str, Any] | None:
+    files = {
+        picture.name: proof.file(picture.spectral)
+        for picture in proof.pictures
+        if picture.integrator == integrator and picture.spectral is not None
+    }
+    if "truth" not in files:
+        return None
+    try:
+        return pack_spectra(files, inside, bounding_box(inside))
+    except UsdSkinError as error:
+        notes.append(Note("spectra-not-shown", integrator, str(error)))
+        return None
+
+
+def pictures_section(renders: RenderViews) -> tuple[Markup | None, Markup | None]:
+    """Return the section with wipe, heat map and read-out, and the data that its script reads.
+
+    Args:
+        renders: The pictures.
+    """
+    views = {
+        key: view
+        for key, view in renders.views.items()
+        if "truth" in view.rasters and len(view.rasters) > 1
+    }
+    if not views:
+        return None, None
+    first = next(iter(views.values()))
+    name = next(name for name in renders.names if name in first.rasters)
+    size = f"{first.rasters['truth'].width} / {first.rasters['truth'].height}"
+    wipe = element(
+        "figure",
+        element(
+            "div",
+            element("div", class_="divider", aria_hidden="true"),
+            element("div", class_="cross", aria_hidden="true"),
+            class_="stage",
+            id="wipe",
+            tabindex=0,
+            role="group",
+            data_ratio=size,
+            aria_label="Pictures; arrow keys move the read-out by a pixel, with Shift by ten",
+        ),
+        element(
+            "div",
+            element("span", "truth", class_="end-left"),
+            element("input", type="range", id="wipe-at", min=0, max=1000, value=500,
+                    aria_label="Wipe between truth (left) and reproduction (right)"),
+            element("span", "reproduction", class_="end-right"),
+            class_="wipe-bar",
+        ),
+        element("figcaption", "Truth left of the line, reproduction right of it: drag the picture "
+                "or the slider. One exposure and one white for both."),
+    )  # fmt: skip
+    difference = None
+    if any(view.heats for view in views.values()):
+        difference = element(
+            "figure",
+            element("div", element("div", class_="cross", aria_hidden="true"), class_="stage",
+                    id="heat", data_ratio=size),
+            heat_legend(renders.top),
+            element("figcaption", "ΔE₀₀ of every judged pixel; grey was not judged."),
+        )  # fmt: skip
+    parts = (
+        _choices(renders, views, name),
+        element("div", wipe, difference, class_="compare"),
+        _readout(),
+        element("noscript", note("Without scripts the wipe stands still and nothing is read out; "
+                                 "all renders are below.")),
+    )  # fmt: skip
+    return section("pictures", "Truth and reproduction", *parts), _data(views, renders, name)
+
+
+def _choices(renders: RenderViews, views: dict[str, View], name: str) -> Markup:
+    return element(
+        "div",
+        _choice("reproduction", "Reproduction",
+                [(item, picture_title(item)) for item in renders.names], name),
+        _choice("integrator", "Integrator",
+                [(key, integrator_title(key)) for key in views], next(iter(views))),
+        class_="choices",
+    )  # fmt: skip
+
+
+def _choice(group: str, legend: str, options: list[tuple[str, str]], chosen: str) -> Markup:
+    items = []
+    for index, (value, text) in enumerate(options):
+        identifier = f"{group}-{index}"
+        button = element("input", type="radio", name=group, id=identifier, value=value,
+                         checked=value == chosen)  # fmt: skip
+        items.append(fragment(button, element("label", text, for_=identifier)))
+    return element("fieldset", element("legend", legend), *items)
+
+
+def heat_legend(top: float) -> Markup:
+    stops = []
+    colors = heat_colors(np.linspace(0.0, 1.0, 17))
+    for index, (red, green, blue, _) in enumerate(colors):
+        color = f"#{red:02x}{green:02x}{blue:02x}"
+        stops.append(element("stop", offset=index / 16.0, stop_color=color))
+    gradient = element("linearGradient", *stops, id="heat-colors")
+    ticks = nice_ticks(0.0, top, 4)
+    texts = [
+        element("text", f"{tick:g}" + (" and more" if tick == ticks[-1] else ""),
+                x=4.0 + 300.0 * tick / top, y=26,
+                class_="middle" if 0 < tick < top else ("end" if tick else None))
+        for tick in ticks
+    ]  # fmt: skip
+    bar = element("rect", x=4, y=2, width=300, height=10, fill="url(#heat-colors)")
+    return element("svg", element("defs", gradient), bar, *texts, viewBox="0 0 308 30",
+                   role="img", aria_label=f"Scale of the differences, 0 to {top:g}",
+                   class_="plot scale")  # fmt: skip
+
+
+def _readout() -> Markup:
+    def cell(identifier: str, text: str = "–") -> Markup:
+        return element("td", text, id=identifier, class_="n")
+
+    swatch = element("svg", element("rect", width=30, height=18, id="swatch-truth"),
+                     element("rect", x=30, width=30, height=18, id="swatch-lab"),
+                     viewBox="0 0 60 18", class_="swatch", role="img",
+                     aria_label="Colours of the truth and the reproduction")  # fmt: skip
+    lab = [
+        element("tr", element("th", title, scope="row"), *(cell(f"{key}-{axis}") for axis in "Lab"))
+        for key, title in (("truth", "truth"), ("lab", "reproduction"), ("change", "difference"))
+    ]
+    heads = [element("th", text, scope="col", class_="n") for text in ("L*", "a*", "b*")]
+    colors = element("table", element("thead", element("tr", element("td"), *heads)),
+                     element("tbody", *lab))  # fmt: skip
+    return element(
+        "div",
+        element(
+            "div",
+            element("p", "Point at a picture", id="where"),
+            element("p", element("span", "ΔE₀₀ "), element("output", "–", id="delta"),
+                    class_="delta"),
+            swatch,
+        ),
+        colors,
+        element(
+            "figure",
+            element("svg", viewBox="0 0 300 150", class_="plot", id="pixel-spectra", role="img",
+                    aria_label="Spectra at the pixel"),
+            element("figcaption", "", id="spectra-said"),
+        ),
+        element("p", "", id="said", class_="visually-hidden", aria_live="polite"),
+        class_="readout",
+        id="readout",
+    )  # fmt: skip
+
+
+def _data(views: dict[str, View], renders: RenderViews, name: str) -> Markup:
+    content = {
+        "deltaStep": DELTA_STEP,
+        "labStep": LAB_STEP,
+        "nothing": 65535,
+        "first": name,
+        "views": {
+            key: {
+                **view.data,
+                "pictures": view.data.get("pictures", {}),
+                "titles": {item: picture_title(item) for item in view.rasters},
+            }
+            for key, view in views.items()
+        },
+    }
+    return json_block("pixels", json.dumps(content, sort_keys=True, separators=(",", ":")))
+
+
+def renders_section(renders: RenderViews) -> Markup | None:
+    """Return the section that shows every render and every heat map; scripts copy them.
+
+    Args:
+        renders: The pictures.
+    """
+    rows = []
+    for view in renders.views.values():
+        how = integrator_title(view.integrator)
+        order = [name for name in ("truth", *renders.names) if name in view.rasters]
+        shown = [
+            figure(
+                picture_title(name).capitalize(),
+                view.rasters[name].image(
+                    f"Render: {picture_title(name)}, {how}",
+                    data_render=name, data_integrator=view.integrator,
+                ),
+            )
+            for name in order
+        ]  # fmt: skip
+        shown += [
+            figure(
+                f"ΔE₀₀: {picture_title(name)}",
+                view.heats[name].image(
+                    f"Colour difference: {picture_title(name)}, {how}",
+                    data_heat=name, data_integrator=view.integrator, class_="heat",
+                ),
+            )
+            for name in renders.names
+            if name in view.heats
+        ]  # fmt: skip
+        rows.append(element("h3", how.capitalize()))
+        rows.append(element("div", *shown, class_="renders"))
+    return section("renders", "Renders", *rows) if rows else None
