@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.judge.report.markup import Markup, element, fragment
-from usdskin.judge.report.shown import number
 
-__all__ = ["BarRow", "Curve", "curves", "intervals", "nice_ticks", "spread_bars"]
+__all__ = ["Curve", "curves", "intervals", "nice_ticks", "spread_bar"]
 
 FloatArray = NDArray[np.float64]
 
@@ -61,7 +60,7 @@ def curves(
     label: str,
     *,
     unit: str = "",
-    size: tuple[int, int] = (300, 170),
+    size: tuple[int, int] = (300, 160),
 ) -> Markup:
     """Return curves over wavelength, the scale of the axis as a power of ten in its unit.
 
@@ -73,7 +72,7 @@ def curves(
         size: Width and height in units of the drawing.
     """
     width, height = size
-    left, right, top, bottom = 40.0, 8.0, 18.0, 30.0
+    left, right, top, bottom = 40.0, 8.0, 18.0, 18.0
     low, high = _range(lines)
     exponent = _exponent(max(abs(low), abs(high)))
     factor = 10.0**-exponent
@@ -99,10 +98,11 @@ def curves(
         parts.append(
             element("line", x1=at, x2=at, y1=height - bottom, y2=height - bottom + 3, class_="axis")
         )
-        parts.append(element("text", f"{tick:g}", x=at, y=height - bottom + 13, class_="middle"))
+        text = f"{tick:g}" if at < width - right - 24.0 else f"{tick:g} nm"
+        parts.append(element("text", text, x=at, y=height - bottom + 13,
+                             class_="middle" if text.isdecimal() else "end"))  # fmt: skip
     base = float(up(max(low, 0.0)))
     parts.append(element("line", x1=left, x2=width - right, y1=base, y2=base, class_="axis"))
-    parts.append(element("text", "nm", x=width - right, y=height - 3, class_="end unit"))
     scale = "" if exponent == 0 else f"10{_super(exponent)} "
     if scale or unit:
         parts.append(element("text", f"{scale}{unit}".strip(), x=2, y=9, class_="unit"))
@@ -150,65 +150,27 @@ def _points(x: FloatArray, y: FloatArray) -> str:
     return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
 
 
-@dataclass(frozen=True, slots=True)
-class BarRow:
-    """A bar: a mean, a 95th percentile and perhaps a bound."""
-
-    name: str
-    detail: str
-    mean: float | None
-    p95: float | None
-    bound: float | None = None
-
-
-def spread_bars(rows: Sequence[BarRow], label: str, *, width: int = 640) -> Markup:
-    """Return bars of means with a tick at the 95th percentile, one under the other.
+def spread_bar(mean: float | None, p95: float | None, top: float) -> Markup:
+    """Return a bar of a mean with a line to the 95th percentile, as wide as where it stands.
 
     Args:
-        rows: The bars.
-        label: What is shown, for those who do not see it.
-        width: Width in units of the drawing.
+        mean: Length of the bar.
+        p95: Where the line ends.
+        top: Value at the right end, the same for all bars that stand together.
     """
-    longest = max((len(row.name) for row in rows), default=0)
-    left = min(max(90.0, _CHARACTER * longest + 14.0), 0.42 * width)
-    fits = int((left - 14.0) / _CHARACTER)
-    right, pitch, top = 96.0, 24.0, 6.0
-    height = int(top + pitch * len(rows) + 22.0)
-    values = [value for row in rows for value in (row.mean, row.p95, row.bound) if value]
-    high = max(values, default=1.0)
-    ticks = nice_ticks(0.0, high * 1.02, 5)
-    step = ticks[1] - ticks[0] if len(ticks) > 1 else high
-    scale = (width - left - right) / (high * 1.02)
     parts = []
-    for tick in ticks:
-        at = left + tick * scale
-        parts.append(element("line", x1=at, x2=at, y1=top, y2=height - 18, class_="grid"))
-        parts.append(element("text", tick_text(tick, step), x=at, y=height - 5, class_="middle"))
-    parts.append(element("text", "ΔE₀₀", x=width, y=height - 5, class_="end unit"))
-    for index, row in enumerate(rows):
-        y = top + pitch * index
-        name = row.name if len(row.name) <= fits else f"{row.name[: fits - 1]}…"
-        tip = element("title", f"{row.name} {row.detail}".strip())
-        parts.append(element("text", tip, name, x=left - 8, y=y + 15, class_="end name"))
-        mean, p95 = row.mean or 0.0, row.p95
-        parts.append(
-            element("rect", x=left, y=y + 5, width=max(mean * scale, 0.5), height=13, class_="bar")
-        )
-        if p95 is not None:
-            at = left + p95 * scale
-            reach = left + mean * scale
-            parts.append(element("line", x1=reach, x2=at, y1=y + 11.5, y2=y + 11.5, class_="reach"))
-            parts.append(element("line", x1=at, x2=at, y1=y + 7, y2=y + 16, class_="reach"))
-        if row.bound is not None:
-            at = left + row.bound * scale
-            parts.append(element("line", x1=at, x2=at, y1=y + 2, y2=y + 21, class_="bound"))
-        shown = f"{number(row.mean)} / {number(row.p95)}"
-        parts.append(element("text", shown, x=width, y=y + 15, class_="end value"))
-    parts.append(element("line", x1=left, x2=left, y1=top, y2=height - 18, class_="axis"))
-    return _drawing(width, height, label, parts)
+    reach = 100.0 * (mean or 0.0) / top
+    if p95 is not None:
+        end = 100.0 * p95 / top
+        parts.append(element("line", x1=min(reach, end), x2=max(reach, end), y1=5, y2=5,
+                             class_="reach"))  # fmt: skip
+        parts.append(element("line", x1=end, x2=end, y1=1, y2=9, class_="reach"))
+    parts.insert(0, element("rect", x=0, y=0, width=max(reach, 0.3), height=10, class_="bar"))
+    return element("svg", *parts, viewBox="0 0 100 10", preserveAspectRatio="none",
+                   aria_hidden="true", class_="plot spread")  # fmt: skip
 
 
-def intervals(rows: Sequence[tuple[str, float, str]], label: str, *, width: int = 420) -> Markup:
+def intervals(rows: Sequence[tuple[str, float, str]], label: str, *, width: int = 350) -> Markup:
     """Return how many standard deviations estimates lie off the truth, one row each.
 
     Args:
@@ -249,4 +211,4 @@ def intervals(rows: Sequence[tuple[str, float, str]], label: str, *, width: int 
 
 def _drawing(width: int, height: int, label: str, parts: Sequence[Markup]) -> Markup:
     return element("svg", fragment(*parts), viewBox=f"0 0 {width} {height}", role="img",
-                   aria_label=label, class_="plot")  # fmt: skip
+                   aria_label=label, class_="plot", width=width)  # fmt: skip

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.differences import goodness_of_fit
-from usdskin.judge.report.charts import BarRow, Curve, curves, intervals, spread_bars
-from usdskin.judge.report.markup import Markup, element, fragment
+from usdskin.judge.report.charts import Curve, curves, intervals, spread_bar
+from usdskin.judge.report.markup import Child, Markup, element, fragment
 from usdskin.judge.report.proof import Proof
-from usdskin.judge.report.records import Parameter, Spectra
-from usdskin.judge.report.shown import NONE, figure, note, number, number_cell, section, table
+from usdskin.judge.report.records import Parameter, Spectra, Spread
+from usdskin.judge.report.shown import NONE, figure, number, number_cell, section, table
 from usdskin.judge.report.verdict import integrator_title
 
 __all__ = ["budget_section", "skin_section", "spectra_section", "tones_section"]
@@ -77,8 +79,6 @@ def _panel(nm: NDArray[np.float64], item: Spectra) -> Markup:
     unit = _UNITS.get(item.kind, "")
     if item.kind == "skin" and "opacity" in item.name:
         unit = "m⁻¹"
-    elif item.kind == "skin":
-        unit = "1"
     drawing = curves(nm, lines, f"{label} spectrum", unit=unit)
     said = [element("b", item.name)]
     if fit is not None and np.any(true):
@@ -138,59 +138,57 @@ def tones_section(proof: Proof) -> Markup | None:
     """Return the section of differences by tone of skin."""
     if not proof.tones:
         return None
-    heads = [("Tone", False), ("Integrator", False), ("mean", True), ("median", True)]
-    heads += [("p95", True), ("max", True), ("GFC", True)]
+    heads: list[tuple[Child, bool]] = [("Tone", False), ("Integrator", False)]
+    heads += [*_bar_heads([tone.delta_e for tone in proof.tones]), ("GFC", True)]
+    top = _top([tone.delta_e for tone in proof.tones])
     rows = [
         element(
             "tr",
             element("th", tone.tone, scope="row"),
             element("td", integrator_title(tone.integrator) if tone.integrator else NONE),
-            *(
-                number_cell(number(value))
-                for value in (
-                    tone.delta_e.mean,
-                    tone.delta_e.median,
-                    tone.delta_e.p95,
-                    tone.delta_e.max,
-                )
-            ),
+            *_bar_cells(tone.delta_e, top),
             number_cell(NONE if tone.gfc is None else f"{tone.gfc:.5f}"),
         )
         for tone in proof.tones
     ]
-    several = len({tone.integrator for tone in proof.tones}) > 1
-    bars = [
-        BarRow(
-            f"{tone.tone} ({tone.integrator})" if several else tone.tone,
-            tone.integrator,
-            tone.delta_e.mean,
-            tone.delta_e.p95,
-        )
-        for tone in proof.tones
-    ]
-    drawing = figure(
-        "Mean (bar, first number) and 95th percentile (tick, second number).",
-        spread_bars(bars, "Colour difference by tone of skin"),
-    )
-    both = element("div", drawing, table("CIEDE2000 by tone", heads, rows), class_="beside")
-    return section("tones", "Tones of skin", both)
+    return section("tones", "Tones of skin", table("CIEDE2000 by tone", heads, rows, "spreads"))
 
 
 def budget_section(proof: Proof) -> Markup | None:
     """Return the section of what each cause of error costs by itself."""
     if not proof.budget:
         return None
-    bars = [
-        BarRow(f"{cause.cause} {cause.setting}".strip(), "", cause.delta_e.mean, cause.delta_e.p95)
+    spreads = [cause.delta_e for cause in proof.budget]
+    heads: list[tuple[Child, bool]] = [("Cause", False), ("Setting", False), *_bar_heads(spreads)]
+    rows = [
+        element(
+            "tr",
+            element("th", cause.cause, scope="row"),
+            element("td", cause.setting),
+            *_bar_cells(cause.delta_e, _top(spreads)),
+        )
         for cause in proof.budget
     ]
-    drawing = figure(
-        "Mean (bar, first number) and 95th percentile (tick, second number).",
-        spread_bars(bars, "Colour difference by cause of error", width=760),
-    )
     return section(
         "budget",
         "Error budget",
-        note("One fault of the capture or of the estimate at a time, all else exact."),
-        drawing,
+        table("One fault at a time, all else exact", heads, rows, "spreads"),
+    )
+
+
+def _top(spreads: Sequence[Spread]) -> float:
+    values = [value for spread in spreads for value in (spread.mean, spread.p95) if value]
+    return max(values, default=1.0) * 1.01
+
+
+def _bar_heads(spreads: Sequence[Spread]) -> list[tuple[Child, bool]]:
+    scale = f"ΔE₀₀, 0 to {number(_top(spreads) / 1.01)}: mean, and line to p95"
+    return [(element("span", scale, class_="scale"), False), ("mean", True), ("p95", True)]
+
+
+def _bar_cells(spread: Spread, top: float) -> tuple[Markup, ...]:
+    return (
+        element("td", spread_bar(spread.mean, spread.p95, top), class_="drawn"),
+        number_cell(number(spread.mean)),
+        number_cell(number(spread.p95)),
     )

@@ -183,5 +183,5 @@ def _map_difference(maps: list[tuple[str, FloatArray, str]], scratch: Path) -> M
     mean = float((delta.mean(axis=1) * rows).sum() / rows.sum())
     top = max(float(delta.max()), 1e-9)
     raster = embed(heat_colors(delta / top), scratch)
-    said = f"ΔE₀₀ of the two: mean {number(mean)}, max {number(top)} (brightest colour)"
+    said = f"ΔE₀₀ of the two: mean {number(mean)}, max {number(top)} (palest colour)"
     return figure(said, raster.image("Colour difference of the two reflectance maps"))

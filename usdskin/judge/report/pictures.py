@@ -157,6 +157,9 @@ def _pixel_data(
             continue
         delta = maps[item.name].delta_e
         row: dict[str, Any] = {"delta": pack(quantized_delta(delta[box.slices])[np.newaxis])}
+        if np.isfinite(delta).any():
+            worst = np.unravel_index(int(np.nanargmax(delta)), delta.shape)
+            row["worst"] = [int(worst[1]), int(worst[0])]
         colors = _colors(proof, item, maps[item.name], notes)
         if colors is not None:
             for key, lab in zip(("truth", "lab"), colors, strict=True):
@@ -300,7 +303,7 @@ def heat_legend(top: float) -> Markup:
     gradient = element("linearGradient", *stops, id="heat-colors")
     ticks = nice_ticks(0.0, top, 4)
     texts = [
-        element("text", f"{tick:g}" + (" and more" if tick == ticks[-1] else ""),
+        element("text", ("≥ " if tick == ticks[-1] else "") + f"{tick:g}",
                 x=4.0 + 300.0 * tick / top, y=26,
                 class_="middle" if 0 < tick < top else ("end" if tick else None))
         for tick in ticks
@@ -315,8 +318,8 @@ def _readout() -> Markup:
     def cell(identifier: str, text: str = "–") -> Markup:
         return element("td", text, id=identifier, class_="n")
 
-    swatch = element("svg", element("rect", width=30, height=18, id="swatch-truth"),
-                     element("rect", x=30, width=30, height=18, id="swatch-lab"),
+    swatch = element("svg", element("rect", width=30, height=18, id="swatch-truth", fill="none"),
+                     element("rect", x=30, width=30, height=18, id="swatch-lab", fill="none"),
                      viewBox="0 0 60 18", class_="swatch", role="img",
                      aria_label="Colours of the truth and the reproduction")  # fmt: skip
     lab = [
@@ -334,6 +337,7 @@ def _readout() -> Markup:
             element("p", element("span", "ΔE₀₀ "), element("output", "–", id="delta"),
                     class_="delta"),
             swatch,
+            element("button", "Largest difference", type="button", id="worst"),
         ),
         colors,
         element(

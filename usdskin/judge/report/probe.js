@@ -175,6 +175,16 @@ function step(event) {
     + document.getElementById("delta").textContent));
 }
 
+/** Points at the pixel that differs most. */
+function pointAtWorst() {
+  const { view, name } = shown();
+  const worst = view.pictures[name] && view.pictures[name].worst;
+  if (worst) {
+    at = { x: worst[0], y: worst[1] };
+    probe();
+  }
+}
+
 if (content && stage) {
   for (const parent of [stage, heat]) {
     if (parent) {
@@ -184,6 +194,10 @@ if (content && stage) {
     }
   }
   moved.push(probe);
+  document.getElementById("worst").addEventListener("click", pointAtWorst);
+  if (typeof DecompressionStream !== "undefined") {
+    pointAtWorst();
+  }
   if (typeof DecompressionStream === "undefined") {
     put("where", "This browser is too old to unpack the pixels");
   }

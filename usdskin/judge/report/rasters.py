@@ -20,8 +20,8 @@ __all__ = ["Raster", "beauty_pixels", "embed", "heat_colors", "shrunk"]
 LARGEST_PNG = 1_000_000
 """Larger pictures are embedded as JPEG of quality 95 [bytes]."""
 
-GROUND = 0x77
-"""Neutral grey that pictures lie on: L* = 50."""
+GROUND = 0x73
+"""Neutral grey that pictures lie on, L* = 48: the style's --ground."""
 
 _MAGMA = (
     "000004 0a0822 1d1147 36106b 51127c 6a1c81 832681 9c2e7f b73779 d0416f e75263 f56b5c fc8961 "

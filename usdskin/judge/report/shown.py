@@ -65,7 +65,7 @@ def table(
     inner = element(
         "table", element("caption", caption), element("thead", head), body, class_=class_ or None
     )
-    return element("div", inner, class_="scroll", tabindex=0, role="region", aria_label="Table")
+    return element("div", inner, class_="scroll")
 
 
 def section(identifier: str, title: str, *children: Child) -> Markup:

@@ -107,12 +107,12 @@ def _sections(
     lights = read_light_pictures(proof, scratch, notes)
     made = {
         "Truth and reproduction": compared,
-        "Spectra": spectra_section(proof),
-        "Skin parameters": skin_section(proof),
+        "Renders": renders_section(renders),
         "Tones of skin": tones_section(proof),
         "Error budget": budget_section(proof),
+        "Spectra": spectra_section(proof),
         "Light": light_section(lights, scratch),
-        "Renders": renders_section(renders),
+        "Skin parameters": skin_section(proof),
         "Capture": capture_section(capture, _quality(proof, scratch)),
     }
     missing = [title for title, found in made.items() if found is None]

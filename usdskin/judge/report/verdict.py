@@ -39,34 +39,53 @@ def headline(proof: Proof) -> tuple[str, str]:
     missed = sum(not bar.met for bar in proof.bars)
     count = len(proof.bars)
     if missed == 0:
-        return ("The bar is met" if count == 1 else f"All {count} bars are met"), "met"
+        return ("The bar is met" if count == 1 else f"All {count} bars met"), "met"
     if missed == count:
-        return ("The bar is missed" if count == 1 else f"All {count} bars are missed"), "missed"
-    return f"{missed} of {count} bars {'is' if missed == 1 else 'are'} missed", "missed"
+        return ("The bar is missed" if count == 1 else f"All {count} bars missed"), "missed"
+    return f"{count - missed} of {count} bars met, {missed} missed", "missed"
 
 
 def verdict_section(proof: Proof) -> Markup:
     """Return the section with the verdict."""
-    return section("verdict", "What was proved", _claim(proof), _differences(proof), _bars(proof))
+    return section(
+        "verdict",
+        "What was proved",
+        _claim(proof),
+        _tiles(proof),
+        _bars(proof),
+        _differences(proof),
+    )
 
 
 def _claim(proof: Proof) -> Markup:
-    sentences = []
-    for name, what in (
-        ("light", "With the light estimated from photographs and the skin known"),
-        ("chain", "With light and skin both estimated"),
-    ):
-        found = [item for item in proof.comparisons if item.name == name]
-        parts = [
-            f"{number(item.delta_e.mean)} ({integrator_title(item.integrator)})"
-            for item in found
-            if item.delta_e.mean is not None
-        ]
-        if parts:
-            sentences.append(f"{what}, the picture is on average ΔE₀₀ {' and '.join(parts)} off.")
-    if not sentences:
+    names = {item.name for item in proof.comparisons}
+    if not names:
         return element("p", "No picture was compared with a truth.", class_="claim")
-    return element("p", " ".join(sentences), class_="claim")
+    said = "The same picture was rendered from the true light and skin, the truth, and again "
+    ways = {
+        "light": "from the light as it was estimated from photographs",
+        "chain": "from light and skin both estimated",
+    }
+    said += " and ".join(text for name, text in ways.items() if name in names)
+    return element("p", f"{said}. This is how far the colours are apart.", class_="claim")
+
+
+def _tiles(proof: Proof) -> Markup | None:
+    """Return the mean differences in large figures."""
+    tiles = [
+        element(
+            "div",
+            element(
+                "p", number(item.delta_e.mean), class_="large", data_value=_exact(item.delta_e.mean)
+            ),
+            element("p", "mean ΔE₀₀, p95 ", number(item.delta_e.p95)),
+            element("p", element("b", picture_title(item.name))),
+            element("p", integrator_title(item.integrator)),
+            class_="tile",
+        )
+        for item in proof.comparisons
+    ]
+    return element("div", *tiles, class_="tiles") if tiles else None
 
 
 def _differences(proof: Proof) -> Markup | None:
@@ -83,7 +102,7 @@ def _differences(proof: Proof) -> Markup | None:
         ("ΔL* mean", True),
         ("Δa* mean", True),
         ("Δb* mean", True),
-        ("ꟻLIP mean", True),
+        ("FLIP mean", True),
         ("GFC mean", True),
         ("RMSE", True),
     ]
@@ -124,7 +143,7 @@ def _conditions(first: Comparison, proof: Proof) -> list[str]:
     if first.observer:
         said.append(f"Observer {first.observer}. ")
     if first.y_n is not None:
-        said.append(f"Yₙ = {number(first.y_n, 4)}")
+        said.append(f"Yₙ = {first.y_n:.5g}")
         if first.white is not None:
             said.append(f", white x, y = {first.white[0]:.4f}, {first.white[1]:.4f}")
         said.append(f" ({first.white_from}). " if first.white_from else ". ")

@@ -48,7 +48,12 @@ function wipeTo(share) {
 
 function refresh() {
   const { integrator, name } = shown();
-  place(stage, "below", picture("render", "truth", integrator));
+  const truth = place(stage, "below", picture("render", "truth", integrator));
+  for (const parent of [stage, heat]) {
+    if (parent) {
+      parent.style.setProperty("--ratio", truth.width / truth.height);
+    }
+  }
   place(stage, "above", picture("render", name, integrator));
   if (heat) {
     place(heat, "below", picture("heat", name, integrator)).classList.add("heat");
