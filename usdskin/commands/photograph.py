@@ -121,6 +121,9 @@ def _numbers(value: str) -> tuple[float, ...]:
 @click.option("--rotation-error", "rotation_error_deg", type=float, help="Of each view, degrees.")
 @click.option("--shutter-error", type=float, help="Of the exposures, relative.")
 @click.option("--stated-glare", type=float, help="What the shoot says.  [default: the truth]")
+@click.option(
+    "--reading-error", type=float, help="Of all readings of meter and spectroradiometer, relative."
+)
 @click.option("--state-noise", "states_noise", is_flag=True, help="Author gain and read noise.")
 @click.option(
     "--truth-height", type=int, help="Rows of truth.exr.  [default: the light's, least 256]"

@@ -240,6 +240,7 @@ def _photograph(
         ]
     ):
         read = chart.instrument.read(values, peak, [setup.seed, view, 0x5BEC, index])
+        read *= 1.0 + setup.reading_error
         write_readings(folder / "chart" / f"{name}.csv", names, light.wavelength_nm, read)
     random = np.random.default_rng([setup.seed, view, 0xC0B])
     corners = light.corners + chart.corner_error_px * random.normal(size=(4, 2))

@@ -141,6 +141,10 @@ class Setup:
     stated_glare: float | None = None
     """Glare that the shoot states; None: the true one."""
 
+    reading_error: float = 0.0
+    """Error that all readings of light share, of the meters and of the spectroradiometer, relative
+    [1]: that of the standard they were adjusted to."""
+
     states_noise: bool = False
     """Whether the shoot states gain and read noise."""
 
@@ -219,6 +223,7 @@ class Setup:
             "shutter error": (self.shutter_error, 0.0, 1.0),
             "rotation error": (self.rotation_error_deg, 0.0, 180.0),
             "mean luminance": (self.mean_luminance, 1e-9, np.inf),
+            "error of the readings": (self.reading_error, -0.9, 10.0),
             "exposure of the middle": (self.middle, 1e-9, np.inf),
             "sensor constant": (self.sensor_constant or 1.0, 1e-300, np.inf),
             "height of the truth": (self.truth_height or 1, 1, 1 << 15),

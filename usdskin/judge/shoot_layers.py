@@ -137,6 +137,7 @@ def _session(shooting: Shooting, setup: Setup) -> dict[str, Any]:
     light = shooting.light
     facing = _unit(setup.illuminance_direction, light.panorama_from_world[1])
     looking = _unit(setup.luminance_direction, even_direction(light))
+    factor = 1.0 + setup.reading_error
     return {
         "capture:session": "virtual",
         "capture:device": "virtual camera on a panorama head",
@@ -144,9 +145,9 @@ def _session(shooting: Shooting, setup: Setup) -> dict[str, Any]:
         "capture:settings:model": shooting.camera,
         "capture:settings:lens": setup.lens_name,
         "capture:settings:whiteBalance": "",
-        "capture:illuminance": float(light.irradiance(facing)[3]),
+        "capture:illuminance": factor * float(light.irradiance(facing)[3]),
         "capture:illuminance:direction": Gf.Vec3d(*facing.tolist()),
-        "capture:luminance": float(spot(light, looking)[3]),
+        "capture:luminance": factor * float(spot(light, looking)[3]),
         "capture:luminance:direction": Gf.Vec3d(*looking.tolist()),
         "capture:luminanceWeights": Gf.Vec3d(*luminance_weights(light).tolist()),
     }

@@ -1,0 +1,157 @@
+"""``prove``: the whole chain on a set whose truth is known, judged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from usdskin.commands.options import StepCommand
+from usdskin.commands.reporter import GlobalOptions, Reporter
+from usdskin.errors import EXIT_FINDINGS
+
+if TYPE_CHECKING:
+    from usdskin.judge.proof import Proof
+    from usdskin.judge.proof_record import StepRecord
+
+_PATH = click.Path(path_type=Path)
+
+
+@click.command("prove", cls=StepCommand)
+@click.argument("folder", metavar="FOLDER", type=_PATH)
+@click.option("-o", "--output", type=_PATH, required=True, metavar="DIR", help="Folder to fill.")
+@click.option(
+    "--capture",
+    type=click.Choice(["ideal", "realistic"]),
+    default="realistic",
+    show_default=True,
+    help="ideal: exact camera values, so that recovery alone is judged; realistic: photographs "
+    "with 1 % of glare, 2 % of vignetting left, 1 degree of rotation, and noise.",
+)
+@click.option(
+    "--scale-error",
+    type=float,
+    default=0.0,
+    metavar="SHARE",
+    help="Error that all readings of light share, such as 0.03.  [default: 0]",
+)
+@click.option(
+    "--estimator",
+    type=click.Choice(["regression", "literal", "tsvd", "pca", "wiener", "smooth"]),
+    default="regression",
+    show_default=True,
+    help="As for calibrate camera.",
+)
+@click.option(
+    "--integrator",
+    type=click.Choice(["map", "traced", "both"]),
+    default="both",
+    show_default=True,
+    help="How the pictures are rendered.",
+)
+@click.option(
+    "--size",
+    type=click.Choice(["tiny", "preview", "full"]),
+    default="preview",
+    show_default=True,
+    help="How much is computed; the next five say it in numbers.",
+)
+@click.option("--solve-height", type=click.IntRange(min=8), help="Rows of the true light.")
+@click.option("--fisheye", type=click.IntRange(min=64), help="Width of the photographs [px].")
+@click.option("--exposures", type=click.IntRange(2, 99), help="Photographs in a bracket.")
+@click.option("-w", "--width", type=click.IntRange(min=8), help="Width of the renders [px].")
+@click.option(
+    "-p", "--samples", type=click.IntRange(min=1), help="Samples per pixel of traced renders."
+)
+@click.option("--subject", metavar="VARIANT", help="Subject of the shot, such as bust or portrait.")
+@click.option("--tone", metavar="VARIANT", help="Tone of its skin.")
+@click.option("--tones", is_flag=True, help="Compare all tones of its skin too.")
+@click.option("--budget", is_flag=True, help="Judge single faults too, and draw them.")
+@click.option(
+    "--lustre", is_flag=True, help="Let the true skin shine, and measure it without polarisers."
+)
+@click.option(
+    "--light",
+    type=_PATH,
+    metavar="LIGHT.usda",
+    help="True light that was solved before; its classes are LIGHT_<class>.usda.",
+)
+@click.option("--camera", metavar="NAME|FILE", help="Measured camera.")
+@click.option("--chart", metavar="classic24|FILE", help="Color chart.  [default: classic24]")
+@click.option(
+    "--observer",
+    type=click.Choice(["cie1931_2", "cie1964_10", "cie2015_2"]),
+    help="Color-matching functions.  [default: cie1931_2]",
+)
+@click.option("--seed", type=click.IntRange(min=0), help="Of everything random.  [default: 0]")
+@click.option("--resume", is_flag=True, help="Keep the steps that are done and unchanged.")
+@click.option("--check", is_flag=True, help="End with exit code 4 where a bar is missed.")
+@click.pass_obj
+def prove(
+    options: GlobalOptions, /, folder: Path, output: Path, check: bool, **given: Any
+) -> int | None:
+    r"""Prove the whole chain on FOLDER: a virtual shoot, every step, and the truth beside it.
+
+    FOLDER holds a set, set.usda and shot.usda. Its true light is solved, photographed with the
+    faults of a real shoot, captured, calibrated, estimated; its skin is measured and fitted; and
+    the shot is rendered with the truth and with the estimates, and compared. DIR gets every layer
+    and picture on the way, and proof.json, which says what each step did and how to do it by hand.
+
+    \b
+    Examples:
+        usdskin prove stages/room_fluorescent -o out
+        usdskin prove stages/mixed_window -o out --size full --tones --budget
+        usdskin prove stages/outdoor_sun -o ideal --capture ideal --integrator map --check
+    """
+    with Reporter(options) as reporter:
+        from usdskin.judge.proof import prove as run
+        from usdskin.judge.proof_options import ProofOptions, size_of
+
+        numbers = ("solve_height", "fisheye", "exposures", "width", "samples")
+        size = size_of(given.pop("size"), **{name: given.pop(name) for name in numbers})
+        integrator = given.pop("integrator")
+        asked = {name: value for name, value in given.items() if value is not None}
+        proof = run(
+            folder,
+            output,
+            ProofOptions(
+                size=size,
+                integrators=("map", "traced") if integrator == "both" else (integrator,),
+                device=options.device,
+                threads=options.threads,
+                **asked,
+            ),
+            reporter.progress(),
+            lambda step, kept: _tell(reporter, step, kept),
+        )
+        _judge(reporter, proof)
+        reporter.wrote([proof.path])
+        missed = any(not bar["met"] for bar in proof.bars)
+        return EXIT_FINDINGS if check and missed else None
+
+
+def _tell(reporter: Reporter, step: StepRecord, kept: bool) -> None:
+    reporter.event("step", name=step.name, seconds=step.seconds, kept=kept, notes=[*step.notes])
+    if not reporter.json and not reporter.quiet:
+        took = "kept" if kept else f"{step.seconds:.1f} s"
+        click.echo(f"{step.name}: {step.title} ({took})", err=True)
+
+
+def _judge(reporter: Reporter, proof: Proof) -> None:
+    reporter.event("proof", bars=proof.bars, comparisons=proof.content["comparisons"])
+    if reporter.json or reporter.quiet:
+        return
+    for row in proof.content["comparisons"]:
+        found = row["result"]["deltaE2000"]
+        click.echo(
+            f"{row['name']}, {row['integrator']}: dE2000 mean {found['mean']:.3f}, "
+            f"p95 {found['p95']:.3f}, max {found['max']:.3f}",
+            err=True,
+        )
+    for bar in proof.bars:
+        met = "met" if bar["met"] else "MISSED"
+        click.echo(f"bar {bar['name']}: {bar['value']:.3f} of {bar['bar']:g}, {met}", err=True)
+
+
+COMMANDS = (prove,)
