@@ -23,7 +23,7 @@ from usdskin.judge.report.markup import Markup, element, json_block
 from usdskin.judge.report.pixels import pack, quantized_delta
 from usdskin.judge.report.shown import number
 
-HOSTILE = "</script><img src=x onerror=\"alert(1)\">{{style}}'&<b>"
+HOSTILE = '</script><img src=x onerror="alert(1)">{{style}}\'&<b>'
 """A name that would be markup, a script's end and a slot of the template, were it believed."""
 
 
@@ -224,7 +224,9 @@ def test_page_names_no_other_place(text):
     shown = re.sub(r"data:image/[a-z]+;base64,[A-Za-z0-9+/=]+", "", text)
     shown = shown.replace("http://www.w3.org/2000/svg", "").replace("http-equiv", "")
     assert not re.search(r"https?:|//[a-z]+\.|@import|url\((?!#)", shown)
-    assert not re.search(r"\b(eval|fetch|XMLHttpRequest|WebSocket|innerHTML|importScripts)\b", shown)
+    assert not re.search(
+        r"\b(eval|fetch|XMLHttpRequest|WebSocket|innerHTML|importScripts)\b", shown
+    )
 
 
 def test_page_has_no_inline_handlers_and_no_inline_styles(text):
