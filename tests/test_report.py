@@ -134,11 +134,12 @@ def test_missed_bars_make_the_headline(text):
     assert "1 of 2 bars met, 1 missed" in text
 
 
-def test_small_numbers_are_shown_with_a_power_of_ten():
-    assert number(0.0042) == "4.20 × 10⁻³"
+def test_numbers_have_fixed_digits_and_no_minus_before_zero():
+    assert number(0.0042, 3) == "0.004"
     assert number(-0.5) == "−0.50"
+    assert number(-0.0001) == "0.00"
     assert number(None) == "–"
-    assert number(0.0) == "0.00"
+    assert number(-1.234e7) == "−1.23 × 10⁷"
 
 
 def test_ticks_are_round_and_inside():

@@ -33,7 +33,7 @@ def content_of(
         "version": __version__,
         "proofVersion": proof.version,
         "proofSha256": proof.digest,
-        "set": proof.set,
+        "set": proof.set_name,
         "title": proof.title,
         "settings": dict(proof.settings),
         "bars": [asdict(bar) for bar in proof.bars],

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from usdskin.colorimetry import chromaticity_to_xyz
 from usdskin.errors import ImageError, UsdSkinError
-from usdskin.judge.report.charts import nice_ticks
 from usdskin.judge.report.markup import Markup, element, fragment, json_block
 from usdskin.judge.report.pixels import (
     DELTA_STEP,
@@ -49,6 +48,9 @@ class View:
     heats: dict[str, Raster] = field(default_factory=dict)
     """By name of the reproduction."""
 
+    top: float = 1.0
+    """Difference at which the colours of the heat maps end."""
+
     data: dict[str, Any] = field(default_factory=dict)
     """For the script."""
 
@@ -58,8 +60,6 @@ class RenderViews:
     """All renders, by integrator."""
 
     views: dict[str, View]
-    top: float
-    """Difference at which the colours of the heat maps end."""
 
     @property
     def names(self) -> list[str]:
@@ -78,7 +78,6 @@ def read_views(proof: Proof, scratch: Path, notes: list[Note]) -> RenderViews:
         notes: Takes what cannot be shown.
     """
     maps = {item.key: read_maps(proof.file(item.maps)) for item in proof.comparisons if item.maps}
-    top = _heat_top(maps)
     views = {}
     integrators = dict.fromkeys(
         [item.integrator for item in proof.comparisons]
@@ -88,14 +87,14 @@ def read_views(proof: Proof, scratch: Path, notes: list[Note]) -> RenderViews:
         view = View(integrator)
         _develop(view, proof, scratch)
         chosen = [item for item in proof.comparisons if item.integrator == integrator]
-        for item in chosen:
-            if item.key in maps:
-                view.heats[item.name] = embed(heat_colors(maps[item.key].delta_e / top), scratch)
         of_view = {item.name: maps[item.key] for item in chosen if item.key in maps}
+        view.top = _heat_top(of_view)
+        for name, found in of_view.items():
+            view.heats[name] = embed(heat_colors(found.delta_e / view.top), scratch)
         if of_view:
             view.data = _pixel_data(proof, chosen, of_view, notes)
         views[integrator] = view
-    return RenderViews(views, top)
+    return RenderViews(views)
 
 
 def _heat_top(maps: Mapping[str, Maps]) -> float:
@@ -147,8 +146,8 @@ def _pixel_data(
             "prove again."
         )
     inside: NDArray[np.bool_] = np.zeros(shapes.pop(), bool)
-    for item in maps.values():
-        inside |= np.isfinite(item.delta_e)
+    for found in maps.values():
+        inside |= np.isfinite(found.delta_e)
     box = bounding_box(inside)
     labs: dict[str, str] = {}
     rows = {}
@@ -260,7 +259,9 @@ def pictures_section(renders: RenderViews) -> tuple[Markup | None, Markup | None
             "figure",
             element("div", element("div", class_="cross", aria_hidden="true"), class_="stage",
                     id="heat", data_ratio=size),
-            heat_legend(renders.top),
+            *(
+                heat_legend(index, view, view is first) for index, view in enumerate(views.values())
+            ),
             element("figcaption", "ΔE₀₀ of every judged pixel; grey was not judged."),
         )  # fmt: skip
     parts = (
@@ -294,24 +295,28 @@ def _choice(group: str, legend: str, options: list[tuple[str, str]], chosen: str
     return element("fieldset", element("legend", legend), *items)
 
 
-def heat_legend(top: float) -> Markup:
+def heat_legend(index: int, view: View, is_shown: bool) -> Markup:
+    """Return the scale of an integrator's heat maps; the script shows the one that holds."""
+    top = view.top
+    parts = {3.0: 3, 1.0: 4, 2.0: 4, 20.0: 4, 100.0: 4}.get(top, 5)
     stops = []
-    colors = heat_colors(np.linspace(0.0, 1.0, 17))
-    for index, (red, green, blue, _) in enumerate(colors):
+    for step, (red, green, blue, _) in enumerate(heat_colors(np.linspace(0.0, 1.0, 17))):
         color = f"#{red:02x}{green:02x}{blue:02x}"
-        stops.append(element("stop", offset=index / 16.0, stop_color=color))
-    gradient = element("linearGradient", *stops, id="heat-colors")
-    ticks = nice_ticks(0.0, top, 4)
+        stops.append(element("stop", offset=f"{step / 16.0:g}", stop_color=color))
+    name = f"heat-colors-{index}"
     texts = [
-        element("text", ("≥ " if tick == ticks[-1] else "") + f"{tick:g}",
-                x=4.0 + 300.0 * tick / top, y=26,
-                class_="middle" if 0 < tick < top else ("end" if tick else None))
-        for tick in ticks
+        element("text", ("≥ " if step == parts else "") + f"{top * step / parts:g}",
+                x=4.0 + 300.0 * step / parts, y=26,
+                class_="middle" if 0 < step < parts else ("end" if step else None))
+        for step in range(parts + 1)
     ]  # fmt: skip
-    bar = element("rect", x=4, y=2, width=300, height=10, fill="url(#heat-colors)")
-    return element("svg", element("defs", gradient), bar, *texts, viewBox="0 0 308 30",
-                   role="img", aria_label=f"Scale of the differences, 0 to {top:g}",
-                   class_="plot scale")  # fmt: skip
+    bar = element("rect", x=4, y=2, width=300, height=10, fill=f"url(#{name})")
+    gradient = element("defs", element("linearGradient", *stops, id=name))
+    drawing = element("svg", gradient, bar, *texts, viewBox="0 0 308 30", role="img",
+                      aria_label=f"Scale of the differences, 0 to {top:g}",
+                      class_="plot scale")  # fmt: skip
+    return element("div", drawing, class_="legend-of" if is_shown else "legend-of away",
+                   data_legend=view.integrator)  # fmt: skip
 
 
 def _readout() -> Markup:
@@ -342,7 +347,7 @@ def _readout() -> Markup:
         colors,
         element(
             "figure",
-            element("svg", viewBox="0 0 300 150", class_="plot", id="pixel-spectra", role="img",
+            element("svg", viewBox="0 0 300 142", class_="plot", id="pixel-spectra", role="img",
                     aria_label="Spectra at the pixel"),
             element("figcaption", "", id="spectra-said"),
         ),
@@ -392,7 +397,7 @@ def renders_section(renders: RenderViews) -> Markup | None:
         ]  # fmt: skip
         shown += [
             figure(
-                f"ΔE₀₀: {picture_title(name)}",
+                f"ΔE₀₀, 0 to {view.top:g}: {picture_title(name)}",
                 view.heats[name].image(
                     f"Colour difference: {picture_title(name)}, {how}",
                     data_heat=name, data_integrator=view.integrator, class_="heat",

@@ -71,6 +71,17 @@ async function spectraAt(view, name, x, y) {
   };
 }
 
+/** Returns text with its powers raised. */
+const raised = (text) => text.replace(/\^?(-?\d+)/g, (_, digits) =>
+  [...digits].map((digit) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(digit)]).join(""));
+
+/** Returns a number of three digits. */
+function short(value) {
+  const [mantissa, exponent] = value.toExponential(2).split("e");
+  return Math.abs(exponent) < 3 ? value.toPrecision(3)
+    : `${mantissa} × 10${raised(String(Number(exponent)))}`;
+}
+
 function svgElement(parent, name, attributes, text) {
   const made = document.createElementNS(SVG, name);
   for (const [key, value] of Object.entries(attributes)) {
@@ -91,15 +102,17 @@ function drawSpectra(found) {
   }
   const nm = found.wavelengths, last = nm.length - 1;
   const peak = Math.max(...found.spectra.flat());
-  const toX = (value) => 40 + (252 * (value - nm[0])) / (nm[last] - nm[0] || 1);
+  const toX = (value) => 2 + (296 * (value - nm[0])) / (nm[last] - nm[0] || 1);
   const toY = (value) => 122 - (104 * value) / peak;
-  svgElement(drawing, "line", { x1: 40, x2: 292, y1: 122, y2: 122, class: "axis" });
-  svgElement(drawing, "text", { x: 36, y: 22, class: "end" }, peak.toPrecision(3));
-  svgElement(drawing, "text", { x: 36, y: 125, class: "end" }, "0");
-  for (const value of [nm[0], (nm[0] + nm[last]) / 2, nm[last]]) {
-    svgElement(drawing, "text", { x: toX(value), y: 137, class: "middle" }, `${value}`);
+  for (const [y, style] of [[122, "axis"], [18, "grid"]]) {
+    svgElement(drawing, "line", { x1: 2, x2: 298, y1: y, y2: y, class: style });
   }
-  svgElement(drawing, "text", { x: 0, y: 8 }, found.units.replaceAll(".", " "));
+  const units = found.units.replaceAll(".", " ");
+  svgElement(drawing, "text", { x: 2, y: 11 }, `${short(peak)} ${raised(units)}`);
+  const middle = (nm[0] + nm[last]) / 2;
+  svgElement(drawing, "text", { x: 2, y: 136 }, `${nm[0]}`);
+  svgElement(drawing, "text", { x: toX(middle), y: 136, class: "middle" }, `${middle}`);
+  svgElement(drawing, "text", { x: 298, y: 136, class: "end" }, `${nm[last]} nm`);
   ["truth", "estimate"].forEach((style, index) => {
     const points = found.spectra[index]
       .map((value, band) => `${toX(nm[band]).toFixed(1)},${toY(value).toFixed(1)}`).join(" ");

@@ -40,7 +40,7 @@ class Proof:
 
     folder: Path
     version: str
-    set: str
+    set_name: str
     title: str
     settings: Mapping[str, Any]
     steps: tuple[Step, ...]
@@ -138,7 +138,7 @@ def read_proof(folder: Path) -> Proof:
     return Proof(
         folder=folder,
         version=root.child("version").text(),
-        set=root.child("set").text(),
+        set_name=root.child("set").text(),
         title=root.maybe_text("title") or root.child("set").text(),
         settings={} if (given := root.optional("settings")) is None else given.members(),
         steps=tuple(_step(node) for node in root.rows("steps")),

@@ -96,13 +96,12 @@ def _steps(proof: Proof) -> Markup | None:
     heads = [("Step", False), ("Command, to be run in the proof's folder", False), ("s", True)]
     rows = []
     for step in proof.steps:
-        title = [element("b", step.title or step.name)]
-        title += [element("p", text, class_="note") for text in step.notes]
+        notes = [element("p", text, class_="note") for text in step.notes]
         rows.append(
             element(
                 "tr",
-                element("th", *title, scope="row"),
-                element("td", _command(step.command)),
+                element("th", step.title or step.name, scope="row"),
+                element("td", _command(step.command), *notes),
                 number_cell(number(step.seconds, 1)),
             )
         )

@@ -16,14 +16,14 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: float | None, digits: int = 2) -> str:
-    """Return a number with fixed digits; very small and large ones with a power of ten."""
+    """Return a number with fixed digits; a very large one with a power of ten."""
     if value is None or not math.isfinite(value):
         return NONE
-    if value and not 10.0**-digits / 2.0 <= abs(value) < 1e6:
+    if abs(value) >= 1e6:
         mantissa, exponent = f"{value:.2e}".split("e")
         return f"{mantissa} × 10{str(int(exponent)).translate(_SUPERSCRIPTS)}".replace("-", "−", 1)
-    text = f"{value:.{digits}f}"
-    return text.replace("-", "−")
+    rounded = round(value, digits) + 0.0  # no minus before zero
+    return f"{rounded:.{digits}f}".replace("-", "−")
 
 
 def percent(value: float | None, digits: int = 2) -> str:

@@ -58,6 +58,9 @@ function refresh() {
   if (heat) {
     place(heat, "below", picture("heat", name, integrator)).classList.add("heat");
   }
+  for (const legend of document.querySelectorAll("[data-legend]")) {
+    legend.classList.toggle("away", legend.dataset.legend !== integrator);
+  }
   for (const tell of moved) {
     tell();
   }
