@@ -33,6 +33,7 @@ from usdskin.commands import (
     plot,
     prove,
     report,
+    solve,
     system,
 )
 from usdskin.commands.options import StepCommand, global_options, with_paragraph_marks
@@ -92,6 +93,7 @@ def cli() -> None:
 
 for _command in (
     *files.MAKING,
+    *solve.COMMANDS,
     *photograph.COMMANDS,
     *photograph_skin.COMMANDS,
     *goniometer.COMMANDS,

@@ -63,7 +63,7 @@ class GoniometerSetup:
     """Standard deviation of a reading, relative to it [1]."""
 
     floor: float = 0.002
-    """Standard deviation that all readings share, relative to the sample's peak [1]."""
+    """Standard deviation that all readings of a band share, relative to the band's peak [1]."""
 
     polarisers: Literal["crossed", "none"] = "crossed"
     """Crossed polarisers take the lustre away; without, readings hold it."""
@@ -175,7 +175,7 @@ def measure(skin: SkinParameters, setup: GoniometerSetup) -> SkinSamples:
     true = reflected(skin, angles, thickness, nm, setup.polarisers == "none")
     random = np.random.default_rng([setup.seed, 0x60])
     noisy = true * (1.0 + setup.noise * random.normal(size=true.shape))
-    noisy += setup.floor * float(true.max()) * random.normal(size=true.shape)
+    noisy += setup.floor * true.max(axis=0) * random.normal(size=true.shape)
     through_sheets = bool(thickness.any())
     return SkinSamples(
         theta_i=angles,

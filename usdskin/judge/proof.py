@@ -20,10 +20,11 @@ from usdskin.capture.step import CaptureOptions, capture_shoot
 from usdskin.errors import UsageError
 from usdskin.estimate.camera.step import CalibrationOptions, calibrate_camera
 from usdskin.estimate.light.step import estimate_light
-from usdskin.estimate.skin.step import SkinOptions, estimate_skin
-from usdskin.judge.goniometer import GoniometerSetup, has_opacity, read_goniometer
+from usdskin.estimate.skin.step import estimate_skin
+from usdskin.judge.goniometer import read_goniometer
 from usdskin.judge.proof_bars import bars_of
 from usdskin.judge.proof_compare import compare_render
+from usdskin.judge.proof_fit import fit_options, goniometer_setup
 from usdskin.judge.proof_ideal import expose_exactly, measure_exactly
 from usdskin.judge.proof_light import (
     TrueLight,
@@ -45,8 +46,8 @@ from usdskin.judge.proof_shoot import (
     take_chart,
     take_photographs,
 )
-from usdskin.judge.proof_shots import ShotParts, write_base, write_shot
-from usdskin.judge.proof_skin import SHOT_SKIN, even_skin, write_true_skin
+from usdskin.judge.proof_shots import ShotParts, subject_and_tone, write_base, write_shot
+from usdskin.judge.proof_skin import SHOT_SKIN, even_skin, tones_of, write_true_skin
 from usdskin.judge.proof_spectra import (
     light_spectra,
     patch_spectra,
@@ -54,6 +55,7 @@ from usdskin.judge.proof_spectra import (
     skin_numbers,
     skin_spectra,
 )
+from usdskin.judge.proof_tones import judge_tone
 from usdskin.layers import open_stage, used_files
 from usdskin.progress import Progress, SilentProgress
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM
@@ -149,9 +151,10 @@ class _Street:
             self._shots()
             pictures = self._render()
             comparisons = self._compare()
+            tones = self._tones() if self.options.tones else []
         finally:
             self.progress.done()
-        content = self._content(pictures, comparisons)
+        content = self._content(pictures, comparisons, tones)
         path = self.journal.finish(content)
         return Proof(path, tuple(self.journal.steps), content)
 
@@ -202,10 +205,7 @@ class _Street:
         self.truth = true_light(place, record.facts["classes"])
 
     def _base_shot(self) -> None:
-        variants = {
-            ("/Shot/Subject", "subject"): self.options.subject,
-            (SHOT_SKIN, "tone"): self.options.tone,
-        }
+        variants = subject_and_tone(self.options.subject, self.options.tone)
         self._step(
             "shot",
             "take the shot of the set",
@@ -393,9 +393,8 @@ class _Street:
     def _measure_skin(self) -> None:
         place, options = self.place, self.options
         samples, output = place["samples.usda"], place["skin.usda"]
-        polarisers = "none" if options.lustre else "crossed"
-        setup = GoniometerSetup(polarisers=polarisers, seed=options.seed)  # type: ignore[arg-type]
-        words = ["--polarisers", polarisers, "--seed", str(options.seed)]
+        setup = goniometer_setup(options)
+        words = ["--polarisers", setup.polarisers, "--seed", str(options.seed)]
         self._step(
             "goniometer",
             "measure the skin with a goniometer",
@@ -403,13 +402,7 @@ class _Street:
             [place.truth_skin],
             lambda doing: doing.writes.append(read_goniometer(place.truth_skin, samples, setup)),
         )
-        through = has_opacity(read_material(place.truth_skin)[0])
-        given = SkinOptions(
-            specular="fit" if options.lustre else "ignore",
-            opacity="fit" if through else "none",
-            device=options.device,
-            threads=options.threads,
-        )
+        given = fit_options(read_material(place.truth_skin)[0], options)
 
         def run(doing: Doing) -> None:
             result = estimate_skin(samples, output, given, self.progress)
@@ -479,6 +472,8 @@ class _Street:
                     reads,
                     run,
                 )
+                if name == "truth" and integrator == "traced":
+                    self._render_again(shot, integrator)
                 pictures.append(
                     {
                         "name": name,
@@ -490,11 +485,50 @@ class _Street:
                 )
         return pictures
 
+    def _render_again(self, shot: Path, integrator: Any) -> None:
+        """Render the truth with other samples, to tell noise from error."""
+        place, options = self.place, self.options
+        output, seed = place.render("again", integrator), options.seed + 1
+
+        def run(doing: Doing) -> None:
+            done = render_shot(shot, output, integrator, options, self.progress, seed)
+            doing.writes += done.writes
+
+        self._step(
+            f"render-again-{integrator}",
+            f"render the truth again by {integrator}, with other samples",
+            place.command("render", shot, *render_words(output, integrator, options, seed)),
+            light_files(shot),
+            run,
+        )
+
+    def _noise(self, integrator: str) -> dict[str, Any] | None:
+        """Return the colour difference between the truth and itself with other samples."""
+        again = self.place.render("again", integrator)
+        if integrator != "traced" or not again.exists():
+            return None
+        truth, maps = self.place.render("truth", integrator), self.place["differences/again.exr"]
+
+        def run(doing: Doing) -> None:
+            done = compare_render(truth, again, maps, self.options.observer, self.place)
+            doing.writes += done.writes
+            doing.facts["deltaE2000"] = done.facts["result"]["deltaE2000"]
+
+        record = self._step(
+            f"noise-{integrator}",
+            f"measure the noise of renders by {integrator}",
+            self.place.command("compare", truth, again, "--select", SHOT_SKIN, "-o", maps),
+            [truth, again, spectral_of(truth), spectral_of(again)],
+            run,
+        )
+        return dict(record.facts)
+
     def _compare(self) -> list[dict[str, Any]]:
         place, options = self.place, self.options
         found = []
         for integrator in options.integrators:
             truth = place.render("truth", integrator)
+            noise = self._noise(integrator)
             for name in NAMES[1:]:
                 picture = place.render(name, integrator)
                 maps = place[f"differences/{name}_{integrator}.exr"]
@@ -523,12 +557,33 @@ class _Street:
                         "maps": place.name_of(maps),
                         "png": place.name_of(maps.with_suffix(".png")),
                         "result": record.facts["result"],
+                        "noise": noise,
                     }
                 )
         return found
 
+    def _tones(self) -> list[dict[str, Any]]:
+        place, options, rows = self.place, self.options, []
+        for tone in tones_of(self.base):
+            record = self._step(
+                f"tone-{tone}",
+                f"judge the skin {tone} under the same light",
+                "",
+                [self.shot, *light_files(place.truth_light), *light_files(place["light.usda"])],
+                lambda doing, tone=tone: judge_tone(  # type: ignore[misc]
+                    self.shot, tone, place, options, self.progress, doing
+                ),
+                {"options": options.as_json()},
+                clears=[place[f"tones/{tone}"]],
+            )
+            rows.append(record.facts["row"])
+        return rows
+
     def _content(
-        self, pictures: list[dict[str, Any]], comparisons: list[dict[str, Any]]
+        self,
+        pictures: list[dict[str, Any]],
+        comparisons: list[dict[str, Any]],
+        tones: list[dict[str, Any]],
     ) -> dict[str, Any]:
         place, truth = self.place, self.truth
         items = light_spectra(truth.light, place["light.usda"])
@@ -556,7 +611,7 @@ class _Street:
             "comparisons": comparisons,
             "spectra": {"wavelengths": DEFAULT_WAVELENGTHS_NM.tolist(), "items": items},
             "skin": skin_numbers(place.truth_skin, place["skin.usda"]),
-            "tones": [],
+            "tones": tones,
             "budget": [],
             "bars": bars_of(comparisons, self.options, len(truth.classes) > 1),
         }

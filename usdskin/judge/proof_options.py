@@ -41,9 +41,9 @@ class ProofSize:
 
 
 SIZES = {
-    "tiny": ProofSize(solve_height=64, fisheye=160, exposures=5, width=32, samples=4),
-    "preview": ProofSize(solve_height=128, fisheye=500, exposures=9, width=128, samples=16),
-    "full": ProofSize(solve_height=256, fisheye=1200, exposures=9, width=384, samples=64),
+    "tiny": ProofSize(solve_height=64, fisheye=160, exposures=5, width=32, samples=16),
+    "preview": ProofSize(solve_height=128, fisheye=500, exposures=9, width=128, samples=256),
+    "full": ProofSize(solve_height=256, fisheye=1200, exposures=9, width=384, samples=256),
 }
 
 

@@ -22,11 +22,23 @@ from usdskin.render.render import render_stage
 AOVS = ("N", "albedo", "primId", "irradiance", "cryptomatte")
 """Data that comparisons take masks and white from."""
 
+MAP_SAMPLES = 4
+"""Samples per pixel of renders by map."""
+
+TARGET_ERROR = 0.002
+"""Relative error at which the sampling of a traced pixel stops: the judge has to see less noise
+than a shot's viewers do."""
+
 _NUMBERS = re.compile(r"\(([-+.\deE]+), ([-+.\deE]+), ([-+.\deE]+)\)")
 
 
 def render_shot(
-    shot: Path, output: Path, integrator: Integrator, options: ProofOptions, progress: Progress
+    shot: Path,
+    output: Path,
+    integrator: Integrator,
+    options: ProofOptions,
+    progress: Progress,
+    seed: int | None = None,
 ) -> Doing:
     """Render a shot with its spectra.
 
@@ -36,13 +48,15 @@ def render_shot(
         integrator: How.
         options: Size, samples, seed and device count.
         progress: Told how far it is.
+        seed: Of the samples; None: the proof's.
     """
     output.parent.mkdir(parents=True, exist_ok=True)
     overrides = RenderOverrides(
         width=options.size.width,
         integrator=integrator,
         samples=samples_of(integrator, options),
-        seed=options.seed,
+        target_error=TARGET_ERROR if integrator == "traced" else None,
+        seed=options.seed if seed is None else seed,
         spectral_output=True,
         observer=options.observer,
         aovs=AOVS,
@@ -54,17 +68,27 @@ def render_shot(
     return Doing(writes=list(report.paths), notes=list(report.notes))
 
 
-def render_words(output: Path, integrator: Integrator, options: ProofOptions) -> list[str | Path]:
+def render_words(
+    output: Path, integrator: Integrator, options: ProofOptions, seed: int | None = None
+) -> list[str | Path]:
     """Return the same as words of a command line."""
     words: list[str | Path] = [output, "--integrator", integrator, "-w", str(options.size.width)]
     words += ["-p", str(samples_of(integrator, options))]
-    words += ["--seed", str(options.seed), "--spectral", "--aov", ",".join(AOVS)]
+    if integrator == "traced":
+        words += ["--target-error", f"{TARGET_ERROR:g}"]
+    words += [
+        "--seed",
+        str(options.seed if seed is None else seed),
+        "--spectral",
+        "--aov",
+        ",".join(AOVS),
+    ]
     return [*words, "--dome", "hide", "--observer", options.observer]
 
 
 def samples_of(integrator: Integrator, options: ProofOptions) -> int:
     """Return the samples per pixel: maps have no noise, so that edges alone need them."""
-    return options.size.samples if integrator == "traced" else max(1, options.size.samples // 4)
+    return options.size.samples if integrator == "traced" else MAP_SAMPLES
 
 
 def spectral_of(picture: Path) -> Path:

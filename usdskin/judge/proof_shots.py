@@ -41,6 +41,11 @@ class ShotParts:
     """``inputs:skin:thickness`` [m]: of the subject, not of its skin, so no fit tells it."""
 
 
+def subject_and_tone(subject: str | None, tone: str | None) -> dict[tuple[str, str], str | None]:
+    """Return the variants of a proof's shot that can be asked for."""
+    return {("/Shot/Subject", "subject"): subject, (SHOT_SKIN, "tone"): tone}
+
+
 def write_base(shot: Path, variants: Mapping[tuple[str, str], str | None], output: Path) -> Path:
     """Write the set's shot with variants chosen.
 
