@@ -60,6 +60,7 @@ def content_of(
                     }
                     for region in item.regions
                 ],
+                "noise": None if item.noise is None else {"deltaE2000": _spread(item.noise)},
             }
             for item in proof.comparisons
         ],
@@ -70,6 +71,7 @@ def content_of(
                 "integrator": tone.integrator,
                 "deltaE2000": _spread(tone.delta_e),
                 "gfc": tone.gfc,
+                "chain": None if tone.chain is None else {"deltaE2000": _spread(tone.chain)},
             }
             for tone in proof.tones
         ],
@@ -129,6 +131,8 @@ def _rows(content: dict[str, Any]) -> Iterator[tuple[str, str, str, float | int,
         for quantity in ("deltaE2000", "deltaE76", "deltaL", "deltaA", "deltaB", "flip"):
             for statistic, value in item[quantity].items():
                 yield "comparisons", name, f"{quantity} {statistic}", value, "1"
+        for statistic, value in (item["noise"] or {"deltaE2000": {}})["deltaE2000"].items():
+            yield "comparisons", name, f"noise deltaE2000 {statistic}", value, "1"
         for quantity, value in (item["spectral"] or {}).items():
             yield "comparisons", name, f"spectral {quantity}", value, _UNITS.get(quantity, "1")
         for region in item["regions"]:
@@ -144,6 +148,9 @@ def _rows(content: dict[str, Any]) -> Iterator[tuple[str, str, str, float | int,
             more = row.get("integrator") or row.get("setting") or ""
             for statistic, value in row["deltaE2000"].items():
                 yield section, f"{row[key]} {more}".strip(), f"deltaE2000 {statistic}", value, "1"
+            for statistic, value in (row.get("chain") or {"deltaE2000": {}})["deltaE2000"].items():
+                where = f"{row[key]} {more}".strip()
+                yield section, where, f"chain deltaE2000 {statistic}", value, "1"
             if row.get("gfc") is not None:
                 yield section, f"{row[key]} {more}".strip(), "gfc", row["gfc"], "1"
     for row in content["capture"]:

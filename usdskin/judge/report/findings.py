@@ -140,6 +140,9 @@ def tones_section(proof: Proof) -> Markup | None:
         return None
     heads: list[tuple[Child, bool]] = [("Tone", False), ("Integrator", False)]
     heads += [*_bar_heads([tone.delta_e for tone in proof.tones]), ("GFC", True)]
+    with_chain = any(tone.chain for tone in proof.tones)
+    if with_chain:
+        heads += [("skin estimated too: mean", True), ("p95", True)]
     top = _top([tone.delta_e for tone in proof.tones])
     rows = [
         element(
@@ -148,6 +151,14 @@ def tones_section(proof: Proof) -> Markup | None:
             element("td", integrator_title(tone.integrator) if tone.integrator else NONE),
             *_bar_cells(tone.delta_e, top),
             number_cell(NONE if tone.gfc is None else f"{tone.gfc:.5f}"),
+            *(
+                number_cell(number(None if tone.chain is None else value))
+                for value in (
+                    (tone.chain or tone.delta_e).mean,
+                    (tone.chain or tone.delta_e).p95,
+                )
+                if with_chain
+            ),
         )
         for tone in proof.tones
     ]

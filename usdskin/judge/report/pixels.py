@@ -25,6 +25,7 @@ from usdskin.judge.report.records import Comparison
 __all__ = [
     "DELTA_STEP",
     "LAB_STEP",
+    "NOTHING",
     "Box",
     "Maps",
     "bounding_box",

@@ -244,7 +244,12 @@ def _comparison(node: Node) -> Comparison:
             )
             for row in result.rows("regions")
         ),
+        noise=_inner_spread(node.optional("noise")),
     )
+
+
+def _inner_spread(node: Node | None) -> Spread | None:
+    return None if node is None else _spread(node.optional("deltaE2000"))
 
 
 def _chromaticity(node: Node) -> tuple[float, float]:
@@ -288,6 +293,7 @@ def _tone(node: Node) -> Tone:
         node.maybe_text("integrator"),
         _spread(node.child("deltaE2000")),
         node.maybe_number("gfc"),
+        _inner_spread(node.optional("chain")),
     )
 
 

@@ -65,6 +65,8 @@ class Comparison:
     """rmse, gfc, p05gfc; empty where no spectra were compared."""
 
     regions: tuple[Region, ...]
+    noise: Spread | None = None
+    """What the truth differs by from itself, sampled anew."""
 
     @property
     def key(self) -> str:
@@ -116,6 +118,8 @@ class Tone:
     integrator: str
     delta_e: Spread
     gfc: float | None
+    chain: Spread | None = None
+    """The same with the skin estimated too."""
 
 
 @dataclass(frozen=True, slots=True)

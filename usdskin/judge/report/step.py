@@ -23,13 +23,14 @@ from usdskin.judge.report.findings import (
 from usdskin.judge.report.lights import light_section, read_light_pictures
 from usdskin.judge.report.markup import Markup, element
 from usdskin.judge.report.page import page
-from usdskin.judge.report.pictures import pictures_section, read_views, renders_section
+from usdskin.judge.report.pictures import pictures_section, renders_section
 from usdskin.judge.report.proof import PROOF_NAME, Proof, read_proof
 from usdskin.judge.report.provenance import provenance_section, read_records
 from usdskin.judge.report.quality import capture_section, quality_picture, read_capture
 from usdskin.judge.report.rasters import embed
 from usdskin.judge.report.shown import section
 from usdskin.judge.report.verdict import headline, verdict_section
+from usdskin.judge.report.views import read_views
 from usdskin.notes import Note
 from usdskin.replacing import scratch_beside
 

@@ -106,7 +106,9 @@ def _differences(proof: Proof) -> Markup | None:
         ("GFC mean", True),
         ("RMSE", True),
     ]
-    rows = [_difference_row(item) for item in proof.comparisons]
+    if any(item.noise for item in proof.comparisons):
+        heads.append(("noise alone", True))
+    rows = [_difference_row(item, len(heads) > 13) for item in proof.comparisons]
     first = proof.comparisons[0]
     return fragment(
         table("CIEDE2000 against the truth, and more", heads, rows),
@@ -115,7 +117,7 @@ def _differences(proof: Proof) -> Markup | None:
     )
 
 
-def _difference_row(item: Comparison) -> Markup:
+def _difference_row(item: Comparison, with_noise: bool) -> Markup:
     spreads, delta = item.spreads, item.delta_e
     gfc, rmse = item.spectral.get("gfc"), item.spectral.get("rmse")
     return element(
@@ -131,6 +133,9 @@ def _difference_row(item: Comparison) -> Markup:
         number_cell(number(spreads["flip"].mean, 4)),
         number_cell(NONE if gfc is None else f"{gfc:.5f}"),
         number_cell(percent(rmse)),
+        number_cell(number(None if item.noise is None else item.noise.mean))
+        if with_noise
+        else None,
     )
 
 
@@ -155,7 +160,9 @@ def _conditions(first: Comparison, proof: Proof) -> list[str]:
     alike = {(item.y_n, item.white, item.mask_from, item.mask_pixels) for item in proof.comparisons}
     if len(alike) > 1:
         said.append("This is the first comparison's; report.json has those of the others. ")
-    said.append("p95: 95 % of the judged pixels differ by less.")
+    said.append("p95: 95 % of the judged pixels differ by less. ")
+    if any(item.noise for item in proof.comparisons):
+        said.append("Noise alone: the mean ΔE₀₀ of the truth and itself, sampled anew.")
     return said
 
 
@@ -205,8 +212,13 @@ def _bars(proof: Proof) -> Markup | None:
 
 
 def bar_title(bar: Bar) -> str:
-    """Return a bar's name as it is shown."""
-    return bar.name.replace("dE2000", "ΔE₀₀")
+    """Return a bar's name as it is shown: ``light, map: dE2000 mean`` in words."""
+    text = bar.name.replace("dE2000", "ΔE₀₀")
+    name, comma, rest = text.partition(", ")
+    integrator, colon, what = rest.partition(": ")
+    if comma and colon and name in _NAMES and integrator in _INTEGRATORS:
+        return f"{what}: {_NAMES[name]} · {_INTEGRATORS[integrator]}"
+    return text
 
 
 def badge(met: bool) -> Markup:
