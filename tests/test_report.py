@@ -362,7 +362,9 @@ def test_files_outside_the_folder_are_refused(copy, capsys, name):
     ("path", "value", "said"),
     [
         (("comparisons", 0, "result", "deltaE2000", "mean"), "x", "mean: is 'x'; a number"),
-        (("comparisons", 0, "result", "yN"), float("nan"), "yN: is nan; a finite number"),
+        (("comparisons", 0, "result", "yN"), float("nan"), "NaN is no number of JSON"),
+        (("comparisons", 0, "result", "yN"), 10**400, "a finite number is needed"),
+        (("title",), "\ud800", "is no JSON ('utf-8' codec can't encode"),
         (("comparisons", 0, "result", "white"), [2.0, 0.3], "a chromaticity"),
         (("bars", 0, "met"), "yes", "true or false"),
         (("spectra", "items", 0, "true"), [1.0], "has 1 values for 16 wavelengths"),

@@ -10,6 +10,7 @@ from dataclasses import asdict
 from typing import Any
 
 from usdskin import __version__
+from usdskin.judge.proof_record import finite
 from usdskin.judge.report.proof import Proof
 from usdskin.judge.report.quality import CaptureRow
 from usdskin.judge.report.records import Spread
@@ -98,7 +99,10 @@ def _spread(spread: Spread) -> dict[str, float]:
 
 def as_json(content: dict[str, Any]) -> str:
     """Return the numbers as JSON, keys sorted."""
-    return json.dumps(content, indent=1, sort_keys=True, ensure_ascii=False, default=str) + "\n"
+    return (
+        json.dumps(finite(content), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
+        + "\n"
+    )
 
 
 def as_csv(content: dict[str, Any]) -> str:

@@ -125,7 +125,9 @@ def read_proof(folder: Path) -> Proof:
             f"{folder}: holds no {PROOF_NAME}; `usdskin prove FOLDER -o {folder}` writes it"
         )
     try:
-        root = Node(json.loads(path.read_text("utf-8")), str(path))
+        value = json.loads(path.read_text("utf-8"), parse_constant=_refuse_constant)
+        json.dumps(value, ensure_ascii=False).encode("utf-8")  # half a surrogate pair is no text
+        root = Node(value, str(path))
     except (ValueError, RecursionError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ProofError(f"{path}: is no JSON ({reason}); prove again") from None
@@ -156,6 +158,10 @@ def read_proof(folder: Path) -> Proof:
         bars=tuple(_bar(node) for node in root.rows("bars")),
         digest=sha256(path),
     )
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def _files(root: Node) -> dict[str, RecordedFile]:
