@@ -29,6 +29,9 @@ PANORAMA_WIDTH = 768
 MAP_WIDTH = 192
 """Width of the reflectance maps [px]."""
 
+_ROOM, _ROOM_LEVEL = 0.9, 0.6
+"""Share of the sphere that is not lamps or sky, and how bright its brightest part is shown [1]."""
+
 _LAYERS = (("truthLight", "true"), ("light", "estimated"))
 
 
@@ -119,7 +122,9 @@ def light_section(pictures: list[LightPictures], scratch: Path) -> Markup | None
     parts = []
     if panoramas:
         parts.append(element("h3", "Panorama"))
-        shown = _alike(panoramas, scratch, "Panorama of the {} light, all directions of the place")
+        stops = _stops(panoramas[0][1])
+        alt = "Panorama of the {} light, all directions of the place"
+        shown = _alike(panoramas, scratch, alt, stops)
         parts.append(element("div", *shown, class_="pair wide"))
         parts.append(
             note(
@@ -131,7 +136,8 @@ def light_section(pictures: list[LightPictures], scratch: Path) -> Markup | None
         )
     if maps:
         parts.append(element("h3", "Reflectance map"))
-        shown = _alike(maps, scratch, "Reflectance map of the {} light by the surface's normal")
+        alt = "Reflectance map of the {} light by the surface's normal"
+        shown = _alike(maps, scratch, alt, None)
         difference = _map_difference(maps, scratch)
         parts.append(element("div", *shown, difference, class_="pair"))
         parts.append(
@@ -143,11 +149,24 @@ def light_section(pictures: list[LightPictures], scratch: Path) -> Markup | None
     return section("light", "Light", fragment(*parts))
 
 
-def _alike(pictures: list[tuple[str, FloatArray, str]], scratch: Path, alt: str) -> list[Markup]:
-    """Develop pictures by the exposure and white of the first."""
+def _stops(panorama: FloatArray) -> float:
+    """Return the exposure that shows a room rather than its lamps [stops]."""
+    rows = np.cos(np.pi * ((np.arange(panorama.shape[0]) + 0.5) / panorama.shape[0] - 0.5))
+    weight = np.repeat(rows, panorama.shape[1])
+    brightest = panorama.max(axis=2).ravel().astype(np.float64)
+    order = np.argsort(brightest, kind="stable")
+    counted = np.cumsum(weight[order])
+    place = min(int(np.searchsorted(counted, _ROOM * counted[-1])), order.size - 1)
+    level = float(brightest[order[place]])
+    return float(np.log2(_ROOM_LEVEL / level)) if level > 0.0 else 0.0
+
+
+def _alike(
+    pictures: list[tuple[str, FloatArray, str]], scratch: Path, alt: str, stops: float | None
+) -> list[Markup]:
+    """Develop pictures by one exposure, the first's own by default, and the white of the first."""
     from usdskin.render.preview import develop
 
-    stops: float | None = None
     white = None
     shown = []
     for which, pixels, space in pictures:
