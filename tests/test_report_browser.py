@@ -56,7 +56,7 @@ def folder(tmp_path_factory) -> Path:
 class Shown:
     """A page with everything that it said and asked for."""
 
-    def __init__(self, browser, folder: Path, size=(1440, 900), scheme="light") -> None:
+    def __init__(self, browser, folder: Path, size=(1440, 900), scheme="light", waits=True) -> None:
         self.context = browser.new_context(
             viewport={"width": size[0], "height": size[1]}, color_scheme=scheme
         )
@@ -67,7 +67,8 @@ class Shown:
         self.page.on("pageerror", lambda error: self.said.append(str(error)))
         self.page.on("request", lambda request: self.asked.append(request.url))
         self.page.goto((folder / "report.html").as_uri())
-        self.settle()
+        if waits:
+            self.settle()
 
     def settle(self) -> None:
         """Wait until the read-out has caught up."""
@@ -250,6 +251,24 @@ def test_policy_stops_what_would_leave_the_page(browser, folder):
     )
     assert page.page.evaluate("window.ran") is None
     page.context.close()
+
+
+def test_without_maps_the_wipe_still_moves(browser, tmp_path):
+    content = proof_folders.write_proof(tmp_path)
+    content["layers"] = {}
+    for comparison in content["comparisons"]:
+        del comparison["maps"]
+    proof_folders.save(tmp_path, content)
+    assert main(["report", str(tmp_path)]) == 0
+    shown = Shown(browser, tmp_path, waits=False)
+    shown.point("#wipe", 30, 36)
+    assert shown.text("where") == "Pixel 30, 36: not judged"
+    shown.page.locator("#wipe-at").focus()
+    shown.page.keyboard.press("End")
+    assert shown.where_line_is() == pytest.approx(1.0, abs=0.005)
+    assert shown.page.locator("#heat").count() == 0
+    assert shown.said == []
+    shown.context.close()
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

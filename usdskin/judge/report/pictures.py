@@ -168,6 +168,8 @@ def _data(views: dict[str, View], renders: RenderViews, name: str) -> Markup:
         "first": name,
         "views": {
             key: {
+                "width": view.rasters["truth"].width,
+                "height": view.rasters["truth"].height,
                 **view.data,
                 "pictures": view.data.get("pictures", {}),
                 "titles": {item: picture_title(item) for item in view.rasters},

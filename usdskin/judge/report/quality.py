@@ -20,12 +20,12 @@ from usdskin.prims.values import DEFAULT_TIME, read_schema
 __all__ = ["CaptureRow", "capture_section", "read_capture"]
 
 _SHARES = (
-    ("capture:coverage", "Coverage", "share of the sphere that was photographed"),
-    ("capture:clippedShare", "Clipped light", "share of the light in pixels that clip everywhere"),
-    ("capture:movedShare", "Moved", "share of the sphere where something moved"),
-    ("capture:fluxError", "Flux error", "irradiance against the meter's reading"),
-    ("capture:exposureError", "Exposure error", "largest of one exposure against the others"),
-    ("capture:noise", "Noise", "relative standard deviation of the merged light"),
+    ("capture:coverage", "Coverage", "share of the sphere that a view covers"),
+    ("capture:clippedShare", "Clipped light", "share of the flux that clips in every exposure"),
+    ("capture:movedShare", "Moved", "share of the sphere where exposures contradict each other"),
+    ("capture:fluxError", "Flux error", "estimated relative error of the panorama's total flux"),
+    ("capture:exposureError", "Exposure error", "largest deviation of two exposures' ratio"),
+    ("capture:noise", "Noise", "median relative standard deviation where there is light"),
 )
 
 
@@ -43,7 +43,9 @@ class CaptureRow:
         """The value with its unit."""
         if self.value is None:
             return NONE
-        return percent(self.value) if self.unit == "1" else f"{number(self.value)} {self.unit}"
+        if self.unit == "1":
+            return percent(self.value)
+        return f"{number(self.value, 0 if self.unit == 'lamps' else 2)} {self.unit}"
 
 
 def read_capture(proof: Proof, notes: list[Note]) -> list[CaptureRow]:
@@ -71,14 +73,14 @@ def read_capture(proof: Proof, notes: list[Note]) -> list[CaptureRow]:
             "Rotation residual",
             _finite(values.get("capture:rotationResidual")),
             "°",
-            "how far the views disagree once they are turned",
+            "root mean square angle left between overlapping views",
         )
     )
     lamps = values.get("capture:lamps:shares")
     if lamps is not None and np.size(lamps):
         rows.append(
             CaptureRow(
-                "Clipped lamps", float(np.size(lamps)), "lamps", "told apart, and their share known"
+                "Clipped lamps", float(np.size(lamps)), "lamps", "with clipped pixels, told apart"
             )
         )
     return [row for row in rows if row.value is not None]
@@ -87,8 +89,8 @@ def read_capture(proof: Proof, notes: list[Note]) -> list[CaptureRow]:
 def _finite(value: Any) -> float | None:
     if value is None or not np.isscalar(value):
         return None
-    number_ = float(value)  # type: ignore[arg-type]
-    return number_ if np.isfinite(number_) else None
+    found = float(value)
+    return found if np.isfinite(found) else None
 
 
 def capture_section(rows: list[CaptureRow], picture: Markup | None) -> Markup | None:
