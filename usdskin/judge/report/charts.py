@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,51 +72,76 @@ def curves(
         unit: Unit of the values.
         size: Width and height in units of the drawing.
     """
-    width, height = size
-    left, right, top, bottom = 40.0, 8.0, 18.0, 18.0
     low, high = _range(lines)
     exponent = _exponent(max(abs(low), abs(high)))
     factor = 10.0**-exponent
-    low, high = low * factor, high * factor
-    first, last = float(wavelength_nm[0]), float(wavelength_nm[-1])
-    span = (last - first) or 1.0
-    x = left + (wavelength_nm - first) / span * (width - left - right)
-
-    def up(values: FloatArray | float) -> FloatArray:
-        share = (np.asarray(values, np.float64) - low) / (high - low)
-        inside = height - bottom - share * (height - top - bottom)
-        return np.asarray(np.clip(inside, top - 6.0, height - bottom + 6.0))
-
-    parts = []
-    ticks = nice_ticks(low, high)
-    step = ticks[1] - ticks[0] if len(ticks) > 1 else 1.0
-    for tick in ticks:
-        y = float(up(tick))
-        parts.append(element("line", x1=left, x2=width - right, y1=y, y2=y, class_="grid"))
-        parts.append(element("text", tick_text(tick, step), x=left - 5, y=y + 3.5, class_="end"))
-    for tick in nice_ticks(first, last, 3):
-        at = left + (tick - first) / span * (width - left - right)
-        parts.append(
-            element("line", x1=at, x2=at, y1=height - bottom, y2=height - bottom + 3, class_="axis")
-        )
-        text = f"{tick:g}" if at < width - right - 24.0 else f"{tick:g} nm"
-        parts.append(element("text", text, x=at, y=height - bottom + 13,
-                             class_="middle" if text.isdecimal() else "end"))  # fmt: skip
-    base = float(up(max(low, 0.0)))
-    parts.append(element("line", x1=left, x2=width - right, y1=base, y2=base, class_="axis"))
+    span = float(wavelength_nm[0]), float(wavelength_nm[-1])
+    panel = _Panel(*size, low * factor, high * factor, *span)
+    parts = panel.axes()
     scale = "" if exponent == 0 else f"10{_super(exponent)} "
     if scale or unit:
         parts.append(element("text", f"{scale}{unit}".strip(), x=2, y=9, class_="unit"))
+    x = panel.across(wavelength_nm)
     for line in lines:
         if line.deviation is not None:
-            upper = up((line.values + line.deviation) * factor)
-            lower = up((line.values - line.deviation) * factor)
+            upper = panel.up((line.values + line.deviation) * factor)
+            lower = panel.up((line.values - line.deviation) * factor)
             around = _points(np.concatenate([x, x[::-1]]), np.concatenate([upper, lower[::-1]]))
             parts.append(element("polygon", points=around, class_="deviation"))
     for line in lines:
-        values = up(line.values * factor)
+        values = panel.up(line.values * factor)
         parts.append(element("polyline", points=_points(x, values), class_=line.style))
-    return _drawing(width, height, label, parts)
+    return _drawing(*size, label, parts)
+
+
+@dataclass(frozen=True, slots=True)
+class _Panel:
+    """Axes of curves: where values lie in a drawing."""
+
+    width: int
+    height: int
+    low: float
+    high: float
+    first_nm: float
+    last_nm: float
+
+    LEFT: ClassVar[float] = 40.0
+    RIGHT: ClassVar[float] = 8.0
+    TOP: ClassVar[float] = 18.0
+    BOTTOM: ClassVar[float] = 18.0
+
+    def across(self, wavelength_nm: FloatArray | float) -> FloatArray:
+        """Return where wavelengths lie; a single one lies left."""
+        span = (self.last_nm - self.first_nm) or 1.0
+        share = (np.asarray(wavelength_nm, np.float64) - self.first_nm) / span
+        return np.asarray(self.LEFT + share * (self.width - self.LEFT - self.RIGHT))
+
+    def up(self, values: FloatArray | float) -> FloatArray:
+        """Return where values lie; what leaves the panel is seen to."""
+        share = (np.asarray(values, np.float64) - self.low) / (self.high - self.low)
+        y = self.height - self.BOTTOM - share * (self.height - self.TOP - self.BOTTOM)
+        return np.asarray(np.clip(y, self.TOP - 6.0, self.height - self.BOTTOM + 6.0))
+
+    def axes(self) -> list[Markup]:
+        """Return the grid, the base line and the labels."""
+        parts = []
+        right, foot = self.width - self.RIGHT, self.height - self.BOTTOM
+        ticks = nice_ticks(self.low, self.high)
+        step = ticks[1] - ticks[0] if len(ticks) > 1 else 1.0
+        for tick in ticks:
+            y, text = float(self.up(tick)), tick_text(tick, step)
+            parts.append(element("line", x1=self.LEFT, x2=right, y1=y, y2=y, class_="grid"))
+            parts.append(element("text", text, x=self.LEFT - 5, y=y + 3.5, class_="end"))
+        for tick in nice_ticks(self.first_nm, self.last_nm, 3):
+            at = float(self.across(tick))
+            is_last = at > right - 24.0
+            text = f"{tick:g} nm" if is_last else f"{tick:g}"
+            place = "end" if is_last else "middle"
+            parts.append(element("line", x1=at, x2=at, y1=foot, y2=foot + 3, class_="axis"))
+            parts.append(element("text", text, x=at, y=foot + 13, class_=place))
+        base = float(self.up(max(self.low, 0.0)))
+        parts.append(element("line", x1=self.LEFT, x2=right, y1=base, y2=base, class_="axis"))
+        return parts
 
 
 def _range(lines: Sequence[Curve]) -> tuple[float, float]:

@@ -31,8 +31,18 @@ def pictures_section(renders: RenderViews) -> tuple[Markup | None, Markup | None
         return None, None
     first = next(iter(views.values()))
     name = next(name for name in renders.names if name in first.rasters)
-    size = f"{first.rasters['truth'].width} / {first.rasters['truth'].height}"
-    wipe = element(
+    parts = (
+        _choices(renders, views, name),
+        element("div", _wipe(), _heat(views), class_="compare"),
+        _readout(),
+        element("noscript", note("Without scripts there is no wipe and no read-out; all renders "
+                                 "are below.")),
+    )  # fmt: skip
+    return section("pictures", "Truth and reproduction", *parts), _data(views, renders, name)
+
+
+def _wipe() -> Markup:
+    return element(
         "figure",
         element(
             "div",
@@ -42,7 +52,6 @@ def pictures_section(renders: RenderViews) -> tuple[Markup | None, Markup | None
             id="wipe",
             tabindex=0,
             role="group",
-            data_ratio=size,
             aria_label="Pictures; arrow keys move the read-out by a pixel, with Shift by ten",
         ),
         element(
@@ -56,25 +65,19 @@ def pictures_section(renders: RenderViews) -> tuple[Markup | None, Markup | None
         element("figcaption", "Truth left of the line, reproduction right of it: drag the picture "
                 "or the slider. One exposure and one white for both."),
     )  # fmt: skip
-    difference = None
-    if any(view.heats for view in views.values()):
-        difference = element(
-            "figure",
-            element("div", element("div", class_="cross", aria_hidden="true"), class_="stage",
-                    id="heat", data_ratio=size),
-            *(
-                heat_legend(index, view, view is first) for index, view in enumerate(views.values())
-            ),
-            element("figcaption", "ΔE₀₀ of every judged pixel; grey was not judged."),
-        )  # fmt: skip
-    parts = (
-        _choices(renders, views, name),
-        element("div", wipe, difference, class_="compare"),
-        _readout(),
-        element("noscript", note("Without scripts the wipe stands still and nothing is read out; "
-                                 "all renders are below.")),
+
+
+def _heat(views: dict[str, View]) -> Markup | None:
+    if not any(view.heats for view in views.values()):
+        return None
+    legends = [heat_legend(index, view, index == 0) for index, view in enumerate(views.values())]
+    return element(
+        "figure",
+        element("div", element("div", class_="cross", aria_hidden="true"), class_="stage",
+                id="heat"),
+        *legends,
+        element("figcaption", "ΔE₀₀ of every judged pixel; grey was not judged."),
     )  # fmt: skip
-    return section("pictures", "Truth and reproduction", *parts), _data(views, renders, name)
 
 
 def _choices(renders: RenderViews, views: dict[str, View], name: str) -> Markup:

@@ -87,7 +87,7 @@ def read_capture(proof: Proof, notes: list[Note]) -> list[CaptureRow]:
 
 
 def _finite(value: Any) -> float | None:
-    if value is None or not np.isscalar(value):
+    if not isinstance(value, int | float):
         return None
     found = float(value)
     return found if np.isfinite(found) else None
