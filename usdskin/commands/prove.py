@@ -98,6 +98,9 @@ def prove(
     the shot is rendered with the truth and with the estimates, and compared. DIR gets every layer
     and picture on the way, and proof.json, which says what each step did and how to do it by hand.
 
+    FOLDER may also hold a real shoot, shoot.usda and a chart.usda with measured spectra for each
+    kind of light. Then the patches of the charts are what is judged.
+
     \b
     Examples:
         usdskin prove stages/room_fluorescent -o out
@@ -107,6 +110,7 @@ def prove(
     with Reporter(options) as reporter:
         from usdskin.judge.proof import prove as run
         from usdskin.judge.proof_options import ProofOptions, size_of
+        from usdskin.plots.budget import draw_budget
 
         numbers = ("solve_height", "fisheye", "exposures", "width", "samples")
         size = size_of(given.pop("size"), **{name: given.pop(name) for name in numbers})
@@ -124,6 +128,7 @@ def prove(
             ),
             reporter.progress(),
             lambda step, kept: _tell(reporter, step, kept),
+            draw_budget,
         )
         _judge(reporter, proof)
         reporter.wrote([proof.path])
@@ -149,6 +154,17 @@ def _judge(reporter: Reporter, proof: Proof) -> None:
             f"p95 {found['p95']:.3f}, max {found['max']:.3f}",
             err=True,
         )
+    for row in proof.content.get("patches", []):
+        for kind, title in (("leaveOneOut", "left out in turn"), ("relit", "relit")):
+            found = (row[kind] or {}).get("deltaE2000")
+            if found is not None:
+                click.echo(
+                    f"patches in {row['class']}, {title}: dE2000 mean {found['mean']:.3f}, "
+                    f"p95 {found['p95']:.3f}, max {found['max']:.3f}; GFC {row[kind]['gfc']:.4f}",
+                    err=True,
+                )
+    for text in proof.content["missing"]:
+        click.echo(f"missing: {text}", err=True)
     for bar in proof.bars:
         met = "met" if bar["met"] else "MISSED"
         click.echo(f"bar {bar['name']}: {bar['value']:.3f} of {bar['bar']:g}, {met}", err=True)

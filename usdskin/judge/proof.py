@@ -23,6 +23,7 @@ from usdskin.estimate.light.step import estimate_light
 from usdskin.estimate.skin.step import estimate_skin
 from usdskin.judge.goniometer import read_goniometer
 from usdskin.judge.proof_bars import bars_of
+from usdskin.judge.proof_budget import judge_faults
 from usdskin.judge.proof_compare import compare_render
 from usdskin.judge.proof_fit import fit_options, goniometer_setup
 from usdskin.judge.proof_ideal import expose_exactly, measure_exactly
@@ -36,6 +37,7 @@ from usdskin.judge.proof_light import (
 )
 from usdskin.judge.proof_options import ProofOptions
 from usdskin.judge.proof_place import Place
+from usdskin.judge.proof_real import is_real_shoot, prove_shoot
 from usdskin.judge.proof_record import Doing, Journal, StepRecord
 from usdskin.judge.proof_render import develop_like, render_shot, render_words, spectral_of
 from usdskin.judge.proof_shoot import (
@@ -64,6 +66,7 @@ NAMES = ("truth", "light", "chain")
 """The shots: true light and skin; estimated light, true skin; estimated light and skin."""
 
 Tell = Callable[[StepRecord, bool], None]
+Draw = Callable[[Sequence[Mapping[str, Any]], Path], Path]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +76,7 @@ class Proof:
     path: Path
     """``proof.json``."""
 
-    steps: tuple[StepRecord, ...]
+    steps: Sequence[StepRecord]
     """The steps, in order."""
 
     content: Mapping[str, Any]
@@ -91,20 +94,27 @@ def prove(
     options: ProofOptions | None = None,
     progress: Progress | None = None,
     tell: Tell | None = None,
+    draw: Draw | None = None,
 ) -> Proof:
     """Prove what the chain does to a set.
 
     Args:
-        folder: Holds ``set.usda`` and ``shot.usda``.
+        folder: Holds ``set.usda`` and ``shot.usda``; or, without a truth, ``shoot.usda`` and
+            charts, see ``prove_shoot``.
         output: Folder to fill.
         options: What is proved, and how.
         progress: Told how far each step is.
         tell: Told of every step that is done, and whether it was kept from before.
+        draw: Draws the rows of an error budget to a file.
 
     Raises:
         UsdSkinError: A step failed, or the folder is no set.
     """
-    street = _Street(Path(folder), Path(output), options or ProofOptions(), progress, tell)
+    if is_real_shoot(Path(folder)):
+        given = options or ProofOptions()
+        given.check()
+        return Proof(*prove_shoot(Path(folder), Path(output), given, progress, tell))
+    street = _Street(Path(folder), Path(output), options or ProofOptions(), progress, tell, draw)
     return street.run()
 
 
@@ -118,6 +128,7 @@ class _Street:
         options: ProofOptions,
         progress: Progress | None,
         tell: Tell | None,
+        draw: Draw | None,
     ) -> None:
         options.check()
         self.set_layer, self.shot = folder / "set.usda", folder / "shot.usda"
@@ -128,7 +139,7 @@ class _Street:
             )
         self.options = options
         self.progress = progress or SilentProgress()
-        self._tell = tell
+        self._tell, self._draw = tell, draw
         self.place = Place(output)
         self.base = self.place.shot("base")
         self.journal = Journal(output, options.resume)
@@ -152,9 +163,10 @@ class _Street:
             pictures = self._render()
             comparisons = self._compare()
             tones = self._tones() if self.options.tones else []
+            budget = self._budget() if self.options.budget else []
         finally:
             self.progress.done()
-        content = self._content(pictures, comparisons, tones)
+        content = self._content(pictures, comparisons, tones, budget)
         path = self.journal.finish(content)
         return Proof(path, tuple(self.journal.steps), content)
 
@@ -579,11 +591,36 @@ class _Street:
             rows.append(record.facts["row"])
         return rows
 
+    def _budget(self) -> list[dict[str, Any]]:
+        place, options, truth = self.place, self.options, self.truth
+
+        def run(doing: Doing) -> None:
+            judge_faults(truth, self.base, place, options, self.progress, doing)
+            if self._draw is not None:
+                doing.writes.append(self._draw(doing.facts["rows"], place["budget.svg"]))
+
+        record = self._step(
+            "budget",
+            "judge every fault by itself",
+            "",
+            [
+                self.base,
+                place.truth_skin,
+                *light_files(truth.light),
+                *(file for layer in truth.classes.values() for file in light_files(layer)),
+            ],
+            run,
+            {"options": options.as_json()},
+            clears=[place["budget"]],
+        )
+        return list(record.facts["rows"])
+
     def _content(
         self,
         pictures: list[dict[str, Any]],
         comparisons: list[dict[str, Any]],
         tones: list[dict[str, Any]],
+        budget: list[dict[str, Any]],
     ) -> dict[str, Any]:
         place, truth = self.place, self.truth
         items = light_spectra(truth.light, place["light.usda"])
@@ -607,12 +644,13 @@ class _Street:
             "title": self.title,
             "settings": self.options.as_json(),
             "layers": layers,
+            "missing": [],
             "pictures": pictures,
             "comparisons": comparisons,
             "spectra": {"wavelengths": DEFAULT_WAVELENGTHS_NM.tolist(), "items": items},
             "skin": skin_numbers(place.truth_skin, place["skin.usda"]),
             "tones": tones,
-            "budget": [],
+            "budget": budget,
             "bars": bars_of(comparisons, self.options, len(truth.classes) > 1),
         }
 

@@ -67,7 +67,7 @@ def write_base(shot: Path, variants: Mapping[tuple[str, str], str | None], outpu
     _write(layer, [shot], output)
     stage = open_stage(output)
     for path in (SHOT_LIGHT, SHOT_SKIN):
-        if not stage.GetPrimAtPath(path):
+        if not stage.GetPrimAtPath(path).IsDefined():
             raise LayerError(f"{shot}: has no <{path}>, which a proof replaces; see docs/proof.md")
     for (path, name), chosen in variants.items():
         known = stage.GetPrimAtPath(path).GetVariantSets().GetVariantSet(name).GetVariantNames()
@@ -92,7 +92,7 @@ def write_shot(base: Path, parts: ShotParts, output: Path) -> Path:
     """
     layer = _over(Sdf.Layer.FindOrOpen(str(base)), base, output)
     for path, file in ((SHOT_LIGHT, parts.light), (SHOT_SKIN, parts.skin)):
-        prim = Sdf.CreatePrimInLayer(layer, path)
+        prim = layer.GetPrimAtPath(path)
         # Explicit, so that what the base refers to is replaced and not added to.
         name = _name(file, output.parent.resolve())
         prim.referenceList.explicitItems = [Sdf.Reference(name)]
@@ -109,6 +109,8 @@ def _over(base: Sdf.Layer, path: Path, output: Path) -> Sdf.Layer:
     for name in _OF_A_ROOT:
         if base.pseudoRoot.HasInfo(name):
             layer.pseudoRoot.SetInfo(name, base.pseudoRoot.GetInfo(name))
+    for path in (SHOT_LIGHT, SHOT_SKIN):
+        Sdf.CreatePrimInLayer(layer, path)
     return layer
 
 

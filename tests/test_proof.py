@@ -1,0 +1,210 @@
+"""The proof: the loop end to end, and that the estimators see nothing of the truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from proof_sets import TINY, write_set
+
+from usdskin.cli import main
+from usdskin.differences import delta_e_of_signals
+from usdskin.errors import LayerError, UsageError
+from usdskin.images import read_image, read_spectral
+from usdskin.judge import proof as proof_module
+from usdskin.judge.proof import prove
+from usdskin.judge.proof_bars import bars_of, light_bar
+from usdskin.judge.proof_options import ProofOptions, size_of
+from usdskin.judge.proof_record import JOURNAL_NAME, PROOF_NAME, Journal
+from usdskin.judge.proof_shoot import turned_views
+
+ESTIMATORS = ("ingest", "capture", "camera", "light", "skin-fit")
+
+
+@pytest.fixture(scope="module")
+def proved(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("proof")
+    light = write_set(folder / "set", ("tubes",))
+    output = folder / "out"
+    done = prove(
+        folder / "set",
+        output,
+        ProofOptions(size=size_of("tiny"), integrators=("map",), light=light),
+    )
+    return output, json.loads(done.path.read_text())
+
+
+def steps_of(proof):
+    return {step["name"]: step for step in proof["steps"]}
+
+
+def test_every_step_leaves_what_the_proof_names(proved):
+    output, proof = proved
+    named = [proof["layers"][name] for name in ("truthLight", "capture", "camera", "light", "skin")]
+    named += [proof["layers"]["shoot"], proof["layers"]["charts"]["light"]]
+    named += [row[kind] for row in proof["pictures"] for kind in ("beauty", "spectral", "png")]
+    named += [row[kind] for row in proof["comparisons"] for kind in ("maps", "png")]
+
+    assert [row["name"] for row in proof["pictures"]] == ["truth", "light", "chain"]
+    for name in named:
+        assert (output / name).is_file(), name
+        assert not Path(name).is_absolute()
+        assert proof["files"][name]["bytes"] == (output / name).stat().st_size
+
+
+def test_the_estimates_are_near_the_truth(proved):
+    _, proof = proved
+    found = {row["name"]: row["result"]["deltaE2000"] for row in proof["comparisons"]}
+
+    assert 0.0 < found["light"]["mean"] < 1.5
+    assert 0.0 < found["chain"]["mean"] < 2.0
+    for item in proof["spectra"]["items"]:
+        assert len(item["true"]) == len(item["estimated"]) == len(proof["spectra"]["wavelengths"])
+    wrap = next(row for row in proof["skin"] if row["name"] == "wrap")
+    assert abs(wrap["estimated"] - wrap["true"]) < 4.0 * wrap["stddev"]
+
+
+def test_the_mean_color_of_the_ball_differs_as_the_proof_says(proved):
+    """By hand: the mean spectra of both pictures against the diffuser that the comparison names."""
+    output, proof = proved
+    row = next(row for row in proof["comparisons"] if row["name"] == "light")
+    nm, truth = read_spectral(output / "renders/truth_map.spectral.exr")
+    _, found = read_spectral(output / "renders/light_map.spectral.exr")
+    alpha = read_image(output / "renders/truth_map.exr", channels=("A",)).pixels[..., 0] > 0.999
+    y = row["result"]["yN"] / 683.002
+    white = np.full(nm.size, y / 106.9)  # an equal-energy white of the same Y_n
+
+    mean = delta_e_of_signals(
+        found[alpha].astype(float), truth[alpha].astype(float), white, nm
+    ).mean()
+
+    # Another white, a little more or less chroma; the size of the difference stays.
+    assert mean == pytest.approx(row["result"]["deltaE2000"]["mean"], rel=0.35)
+
+
+def test_no_estimator_reads_the_truth(proved):
+    _, proof = proved
+    steps = steps_of(proof)
+
+    for name in ESTIMATORS:
+        assert steps[name]["reads"], name
+        for file in steps[name]["reads"]:
+            assert "truth" not in Path(file).parts, f"{name} reads {file}"
+
+
+def test_estimators_give_the_same_without_the_truth_on_the_disk(proved, monkeypatch, tmp_path):
+    output, proof = proved
+    monkeypatch.chdir(output)
+    hidden = [path for path in output.rglob("truth") if path.is_dir()]
+    before = {name: (output / name).read_bytes() for name in ("light.coefficients.exr",)}
+    skin = proof["layers"]["skin"]
+    numbers = [line for line in (output / skin).read_text().splitlines() if "double[]" in line]
+    for index, path in enumerate(hidden):
+        path.rename(tmp_path / f"hidden{index}")
+    try:
+        for name in ESTIMATORS:
+            command = steps_of(proof)[name]["command"]
+            words = __import__("shlex").split(command)[1:]
+            assert main(["-q", *words]) == 0, command
+    finally:
+        for index, path in enumerate(hidden):
+            (tmp_path / f"hidden{index}").rename(path)
+
+    assert hidden
+    for name, content in before.items():
+        assert (output / name).read_bytes() == content
+    again = [line for line in (output / skin).read_text().splitlines() if "double[]" in line]
+    assert again == numbers
+
+
+def test_an_interrupted_proof_goes_on_where_it_ended(tmp_path, monkeypatch):
+    light = write_set(tmp_path / "set", ("tubes",))
+    output = tmp_path / "out"
+    options = dict(size=size_of("tiny"), integrators=("map",), light=light, capture="ideal")
+
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(proof_module, "render_shot", stop)
+        with pytest.raises(KeyboardInterrupt):
+            prove(tmp_path / "set", output, ProofOptions(**options))
+    assert not (output / PROOF_NAME).exists()
+
+    with pytest.raises(UsageError, match="--resume"):
+        prove(tmp_path / "set", output, ProofOptions(**options))
+    kept = {}
+    done = prove(
+        tmp_path / "set",
+        output,
+        ProofOptions(**options, resume=True),
+        tell=lambda step, was_kept: kept.update({step.name: was_kept}),
+    )
+
+    assert kept["light"] and kept["skin-fit"] and kept["shots"]
+    assert not kept["render-truth-map"]
+    first = done.path.read_bytes()
+    assert prove(tmp_path / "set", output, ProofOptions(**options, resume=True)).path.exists()
+    assert done.path.read_bytes() == first
+
+    (output / "light.coefficients.exr").write_bytes(b"")
+    prove(
+        tmp_path / "set",
+        output,
+        ProofOptions(**options, resume=True),
+        tell=lambda step, was_kept: kept.update({step.name: was_kept}),
+    )
+    assert kept["camera"] and not kept["light"]
+
+
+def test_command_refuses_what_is_no_set(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+
+    assert main(["prove", str(tmp_path / "empty"), "-o", str(tmp_path / "out")]) == 2
+    assert "shot.usda" in capsys.readouterr().err
+
+
+def test_command_names_the_variants_that_there_are(tmp_path, capsys):
+    light = write_set(tmp_path / "set", ("tubes",))
+    words = ["prove", str(tmp_path / "set"), "-o", str(tmp_path / "out"), "--light", str(light)]
+
+    assert main([*words, *TINY, "--subject", "horse"]) == 3
+    assert "subject=horse" in capsys.readouterr().err
+
+
+def test_folder_with_something_else_is_left_alone(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine.txt").write_text("mine")
+
+    with pytest.raises(UsageError, match="new or empty"):
+        Journal(tmp_path / "out", resume=True)
+
+
+def test_damaged_journal_is_refused(tmp_path):
+    (tmp_path / JOURNAL_NAME).write_text("{")
+
+    with pytest.raises(LayerError, match="damaged"):
+        Journal(tmp_path, resume=True)
+
+
+def test_views_are_off_by_the_angle_that_was_asked_for():
+    for error in (0.0, 1.0, 5.0):
+        for true, nominal in zip(turned_views(error, 3), turned_views(0.0, 3), strict=True):
+            a, b = (np.radians(view) for view in (true, nominal))
+            cosine = np.sin(a[1]) * np.sin(b[1])
+            cosine += np.cos(a[1]) * np.cos(b[1]) * np.cos(a[0] - b[0])
+            angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+            assert angle == pytest.approx(error, abs=2e-3)
+
+
+def test_bars_are_those_of_the_condition():
+    row = {"name": "light", "integrator": "map", "result": {"deltaE2000": {"mean": 0.35}}}
+
+    assert light_bar(ProofOptions(capture="ideal"), is_mixed=False) == 0.3
+    assert light_bar(ProofOptions(capture="ideal"), is_mixed=True) == 0.5
+    assert light_bar(ProofOptions(), is_mixed=True) == 0.4
+    assert light_bar(ProofOptions(scale_error=0.03), is_mixed=False) == 0.8
+    assert [bar["met"] for bar in bars_of([row], ProofOptions(capture="ideal"), True)] == [True]
+    assert [bar["met"] for bar in bars_of([row], ProofOptions(capture="ideal"), False)] == [False]
