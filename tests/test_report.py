@@ -280,13 +280,40 @@ def test_missing_parts_are_left_out_and_named(copy, capsys):
     content["layers"] = {}
     proof_folders.save(copy, content)
     assert main(["report", str(copy)]) == 0
-    said = "Truth and reproduction, Renders, Tones of skin, Error budget, Spectra, Light, "
-    said += "Skin parameters"
+    said = "Truth and reproduction, Renders, Chart patches, Tones of skin, Error budget, Spectra, "
+    said += "Light, Skin parameters"
     assert said in capsys.readouterr().err
     text = (copy / "report.html").read_text()
     assert said in text
     assert "No picture was compared with a truth" in text
     assert json.loads((copy / "report.json").read_text())["comparisons"] == []
+
+
+def test_a_real_shoot_is_judged_by_its_patches(copy):
+    content = content_of(copy)
+    content["comparisons"], content["bars"] = [], []
+    content["pictures"] = [row for row in content["pictures"] if row["name"] == "chain"]
+    content["layers"] = {"shoot": "../shoot.usda", "capture": "capture.usda"}
+    (copy.parent / "shoot.usda").write_text("#usda 1.0\n")
+    content["missing"] = ["the true light is not known"]
+    content["patches"] = [
+        {
+            "class": "tubes",
+            "leaveOneOut": {"deltaE2000": {"mean": 1.234, "p95": 2.5}, "gfc": 0.99},
+            "relit": {"deltaE2000": {"mean": 0.876, "p95": 1.5}, "gfc": 0.98, "lampGfc": 0.97},
+            "patches": [{"name": "dark skin", "leaveOneOut": 1.11, "relit": 2.22}],
+        },
+        {"class": "window", "leaveOneOut": {"deltaE2000": None, "gfc": None}, "relit": None},
+    ]
+    proof_folders.save(copy, content)
+    assert main(["report", str(copy)]) == 0
+    text = (copy / "report.html").read_text()
+    assert "Judged by the chart&#x27;s patches; the truth is not known" in text
+    for shown in ("1.23", "0.88", "0.97000", "1.11", "2.22", "The proof says: the true light is"):
+        assert shown in text
+    assert text.count("<img") == 3
+    rows = (copy / "report.csv").read_text()
+    assert "patches,tubes,relit deltaE2000 mean,0.876,1" in rows
 
 
 def test_sections_of_a_whole_proof_are_all_there(text):

@@ -80,6 +80,25 @@ def content_of(
             {"cause": row.cause, "setting": row.setting, "deltaE2000": _spread(row.delta_e)}
             for row in proof.budget
         ],
+        "patches": [
+            {
+                "class": item.light_class,
+                "leaveOneOut": {
+                    "deltaE2000": _spread(item.left_out or Spread()),
+                    "gfc": item.left_out_gfc,
+                },
+                "relit": {
+                    "deltaE2000": _spread(item.relit or Spread()),
+                    "gfc": item.relit_gfc,
+                    "lampGfc": item.lamp_gfc,
+                },
+                "patches": [
+                    {"name": name, "leaveOneOut": left_out, "relit": relit}
+                    for name, left_out, relit in item.patches
+                ],
+            }
+            for item in proof.patches
+        ],
         "capture": [
             {"name": row.name, "value": row.value, "unit": row.unit, "meaning": row.meaning}
             for row in capture
@@ -157,6 +176,12 @@ def _rows(content: dict[str, Any]) -> Iterator[tuple[str, str, str, float | int,
                 yield section, where, f"chain deltaE2000 {statistic}", value, "1"
             if row.get("gfc") is not None:
                 yield section, f"{row[key]} {more}".strip(), "gfc", row["gfc"], "1"
+    for row in content["patches"]:
+        for what in ("leaveOneOut", "relit"):
+            for statistic, value in row[what]["deltaE2000"].items():
+                yield "patches", row["class"], f"{what} deltaE2000 {statistic}", value, "1"
+            if row[what]["gfc"] is not None:
+                yield "patches", row["class"], f"{what} gfc", row[what]["gfc"], "1"
     for row in content["capture"]:
         yield "capture", row["name"], "value", row["value"], row["unit"]
     for name, value in content["seconds"].items():

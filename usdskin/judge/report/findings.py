@@ -12,10 +12,10 @@ from usdskin.judge.report.charts import Curve, curves, intervals, spread_bar
 from usdskin.judge.report.markup import Child, Markup, element, fragment
 from usdskin.judge.report.proof import Proof
 from usdskin.judge.report.records import Parameter, Spectra, Spread
-from usdskin.judge.report.shown import NONE, figure, number, number_cell, section, table
+from usdskin.judge.report.shown import NONE, figure, note, number, number_cell, section, table
 from usdskin.judge.report.verdict import integrator_title
 
-__all__ = ["budget_section", "skin_section", "spectra_section", "tones_section"]
+__all__ = ["budget_section", "patches_section", "skin_section", "spectra_section", "tones_section"]
 
 _KINDS = {"light": "Light", "patch": "Chart patches", "skin": "Skin"}
 _UNITS = {"light": "W m⁻² nm⁻¹", "patch": "W m⁻² sr⁻¹ nm⁻¹"}
@@ -185,6 +185,58 @@ def budget_section(proof: Proof) -> Markup | None:
         "Error budget",
         table("One fault at a time, all else exact", heads, rows, "spreads"),
     )
+
+
+def patches_section(proof: Proof) -> Markup | None:
+    """Return the section of what the chart's patches say, where no truth is known."""
+    if not proof.patches:
+        return None
+    heads: list[tuple[Child, bool]] = [("Light", False), ("Judged", False)]
+    spreads = [spread for item in proof.patches for spread in (item.left_out, item.relit) if spread]
+    heads += [*_bar_heads(spreads), ("GFC", True)]
+    top = _top(spreads)
+    rows = [
+        element(
+            "tr",
+            element("th", item.light_class, scope="row"),
+            element("td", what),
+            *_bar_cells(spread, top),
+            number_cell(NONE if gfc is None else f"{gfc:.5f}"),
+        )
+        for item in proof.patches
+        for what, spread, gfc in (
+            ("recovered by a calibration without it", item.left_out, item.left_out_gfc),
+            ("in the estimated light", item.relit, item.relit_gfc),
+        )
+        if spread is not None
+    ]
+    said = " ".join(
+        f"GFC of the light of {item.light_class}, estimated against measured: {item.lamp_gfc:.5f}."
+        for item in proof.patches
+        if item.lamp_gfc is not None
+    )
+    listed = table("CIEDE2000 of the chart's patches", heads, rows, "spreads")
+    return section("patches", "Chart patches", listed, note(said), _patch_list(proof))
+
+
+def _patch_list(proof: Proof) -> Markup | None:
+    rows = [
+        element(
+            "tr",
+            element("th", name, scope="row"),
+            element("td", item.light_class),
+            number_cell(number(left_out)),
+            number_cell(number(relit)),
+        )
+        for item in proof.patches
+        for name, left_out, relit in item.patches
+    ]
+    if not rows:
+        return None
+    heads: list[tuple[Child, bool]] = [("Patch", False), ("Light", False)]
+    heads += [("calibrated without it", True), ("in the estimated light", True)]
+    inner = table("ΔE₀₀ of each patch", heads, rows)
+    return element("details", element("summary", f"Every patch ({len(rows)})"), inner)
 
 
 def _top(spreads: Sequence[Spread]) -> float:

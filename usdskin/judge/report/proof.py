@@ -19,6 +19,7 @@ from usdskin.judge.report.records import (
     Cause,
     Comparison,
     Parameter,
+    PatchClass,
     Picture,
     RecordedFile,
     Region,
@@ -56,6 +57,10 @@ class Proof:
     tones: tuple[Tone, ...]
     budget: tuple[Cause, ...]
     bars: tuple[Bar, ...]
+    patches: tuple[PatchClass, ...] = ()
+    missing: tuple[str, ...] = ()
+    """What the proof says of itself that it lacks."""
+
     digest: str = ""
     """SHA-256 of ``proof.json`` itself."""
 
@@ -156,6 +161,8 @@ def read_proof(folder: Path) -> Proof:
         tones=tuple(_tone(node) for node in root.rows("tones")),
         budget=tuple(_cause(node) for node in root.rows("budget")),
         bars=tuple(_bar(node) for node in root.rows("bars")),
+        patches=tuple(_patch_class(node) for node in root.rows("patches")),
+        missing=root.texts("missing"),
         digest=sha256(path),
     )
 
@@ -307,6 +314,26 @@ def _cause(node: Node) -> Cause:
     given = node.optional("setting")
     setting = "" if given is None else str(given.value)
     return Cause(node.child("cause").text(), setting, _spread(node.child("deltaE2000")))
+
+
+def _patch_class(node: Node) -> PatchClass:
+    left_out, relit = node.optional("leaveOneOut"), node.optional("relit")
+    return PatchClass(
+        node.child("class").text(),
+        _inner_spread(left_out),
+        None if left_out is None else left_out.maybe_number("gfc"),
+        _inner_spread(relit),
+        None if relit is None else relit.maybe_number("gfc"),
+        None if relit is None else relit.maybe_number("lampGfc"),
+        tuple(
+            (
+                row.child("name").text(),
+                row.maybe_number("leaveOneOut"),
+                row.maybe_number("relit"),
+            )
+            for row in node.rows("patches")
+        ),
+    )
 
 
 def _bar(node: Node) -> Bar:

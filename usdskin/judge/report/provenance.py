@@ -27,7 +27,7 @@ def read_records(proof: Proof, notes: list[Note]) -> list[LayerRecord]:
     for name in sorted(set(proof.layers.values())):
         if not name.endswith((".usd", ".usda", ".usdc")):
             continue
-        if name not in proof.files and not (proof.folder / name).is_file():
+        if name not in proof.files or not (proof.folder / name).is_file():
             continue
         path = proof.file(name)
         try:

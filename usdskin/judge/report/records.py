@@ -10,6 +10,7 @@ __all__ = [
     "Cause",
     "Comparison",
     "Parameter",
+    "PatchClass",
     "Picture",
     "RecordedFile",
     "Region",
@@ -129,6 +130,26 @@ class Cause:
     cause: str
     setting: str
     delta_e: Spread
+
+
+@dataclass(frozen=True, slots=True)
+class PatchClass:
+    """What the chart's patches say of one class of light, where no truth is known."""
+
+    light_class: str
+    left_out: Spread | None
+    """Each patch recovered by a calibration that has not seen it."""
+
+    left_out_gfc: float | None
+    relit: Spread | None
+    """Each patch under the estimated light."""
+
+    relit_gfc: float | None
+    lamp_gfc: float | None
+    """Shape of the estimated light against the measured one."""
+
+    patches: tuple[tuple[str, float | None, float | None], ...]
+    """Name, difference left out, and relit."""
 
 
 @dataclass(frozen=True, slots=True)

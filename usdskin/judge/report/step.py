@@ -16,6 +16,7 @@ from usdskin.images import replacing
 from usdskin.judge.report.figures_file import as_csv, as_json, content_of
 from usdskin.judge.report.findings import (
     budget_section,
+    patches_section,
     skin_section,
     spectra_section,
     tones_section,
@@ -109,6 +110,7 @@ def _sections(
     made = {
         "Truth and reproduction": compared,
         "Renders": renders_section(renders),
+        "Chart patches": patches_section(proof),
         "Tones of skin": tones_section(proof),
         "Error budget": budget_section(proof),
         "Spectra": spectra_section(proof),
@@ -116,15 +118,20 @@ def _sections(
         "Skin parameters": skin_section(proof),
         "Capture": capture_section(capture, _quality(proof, scratch)),
     }
+    if proof.comparisons and made["Chart patches"] is None:
+        del made["Chart patches"]  # they stand in for a truth, which is there
     missing = [title for title, found in made.items() if found is None]
     sections = [verdict_section(proof), *(found for found in made.values() if found is not None)]
     sections.append(provenance_section(proof, read_records(proof, notes), absent))
-    if missing or notes:
-        sections.append(section("missing", "Not in this report", *_absences(missing, notes)))
+    if missing or notes or proof.missing:
+        told = _absences(missing, proof.missing, notes)
+        sections.append(section("missing", "Not in this report", *told))
     return sections, missing, data, content_of(proof, capture, missing)
 
 
-def _absences(missing: list[str], notes: list[Note]) -> Iterator[Markup]:
+def _absences(missing: list[str], said: tuple[str, ...], notes: list[Note]) -> Iterator[Markup]:
+    for sentence in said:
+        yield element("p", f"The proof says: {sentence}.")
     if missing:
         yield element("p", f"The proof holds nothing for: {', '.join(missing)}.")
     if notes:

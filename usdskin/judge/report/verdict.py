@@ -34,6 +34,8 @@ def comparison_title(comparison: Comparison) -> str:
 
 def headline(proof: Proof) -> tuple[str, str]:
     """Return the verdict in words, and its class: ``met``, ``missed`` or ``open``."""
+    if not proof.bars and proof.patches and not proof.comparisons:
+        return "Judged by the chart's patches; the truth is not known", "open"
     if not proof.bars:
         return "No bars were set for this proof", "open"
     missed = sum(not bar.met for bar in proof.bars)
@@ -59,6 +61,10 @@ def verdict_section(proof: Proof) -> Markup:
 
 def _claim(proof: Proof) -> Markup:
     names = {item.name for item in proof.comparisons}
+    if not names and proof.patches:
+        said = "No picture was compared with a truth: that of a real shoot is not known. What was "
+        said += "measured are the patches of its charts, and this is how far off they come out."
+        return element("p", said, class_="claim")
     if not names:
         return element("p", "No picture was compared with a truth.", class_="claim")
     said = "The same picture was rendered from the true light and skin, the truth, and again "
@@ -72,18 +78,27 @@ def _claim(proof: Proof) -> Markup:
 
 def _tiles(proof: Proof) -> Markup | None:
     """Return the mean differences in large figures."""
+    rows = [
+        (item.delta_e, picture_title(item.name), integrator_title(item.integrator))
+        for item in proof.comparisons
+    ]
+    if not rows:
+        for item in proof.patches:
+            where = f"in the light of {item.light_class}"
+            if item.left_out is not None:
+                rows.append((item.left_out, "patches not calibrated with", where))
+            if item.relit is not None:
+                rows.append((item.relit, "patches in the estimated light", where))
     tiles = [
         element(
             "div",
-            element(
-                "p", number(item.delta_e.mean), class_="large", data_value=_exact(item.delta_e.mean)
-            ),
-            element("p", "mean ΔE₀₀, p95 ", number(item.delta_e.p95)),
-            element("p", element("b", picture_title(item.name))),
-            element("p", integrator_title(item.integrator)),
+            element("p", number(delta_e.mean), class_="large"),
+            element("p", "mean ΔE₀₀, p95 ", number(delta_e.p95)),
+            element("p", element("b", title)),
+            element("p", how),
             class_="tile",
         )
-        for item in proof.comparisons
+        for delta_e, title, how in rows
     ]
     return element("div", *tiles, class_="tiles") if tiles else None
 
