@@ -32,6 +32,7 @@ from usdskin.commands import (
     pictures,
     plot,
     prove,
+    report,
     solve,
     system,
 )
@@ -105,6 +106,7 @@ for _command in (
     *compare.COMMANDS,
     *plot.COMMANDS,
     *prove.COMMANDS,
+    *report.COMMANDS,
     *files.READING,
     *system.COMMANDS,
 ):
