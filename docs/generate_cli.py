@@ -19,7 +19,8 @@ REFERENCE = Path(__file__).with_name("cli.md")
 
 HEAD = """# Command line reference
 
-Made by `python docs/generate_cli.py` from the commands; `usdskin COMMAND --help` says the same. Flags on the command line win over settings authored in a stage, which win over fallbacks.
+Made by `python docs/generate_cli.py` from the commands; `usdskin COMMAND --help` says the same.
+Flags on the command line win over settings authored in a stage, which win over fallbacks.
 
 | exit code | means |
 |---|---|
