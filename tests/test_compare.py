@@ -328,6 +328,16 @@ def test_spectral_figures_are_those_of_the_spectra(tmp_path):
     assert figures["p05gfc"] <= figures["gfc"] <= 1.0
 
 
+def test_black_where_the_truth_is_black_fits(tmp_path):
+    def dark(spectra):
+        return np.where((prim_ids() == 1)[..., None], 0.0, spectra)
+
+    weights = xyz_weights(GRID)
+    true = dark(surfaces() * LIGHT)
+    truth = write_picture(tmp_path / "truth.exr", true @ weights, spectra=true)
+    assert compare_pictures(truth, truth).as_json()["spectral"]["mingfc"] == pytest.approx(1.0)
+
+
 def test_spectra_named_directly_are_those_beside_the_beauty(tmp_path):
     truth, found = pair(tmp_path, _redder)
     named = compare_pictures(truth, found).as_json()

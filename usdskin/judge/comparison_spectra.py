@@ -105,7 +105,8 @@ def compare_spectra(
             with np.errstate(invalid="ignore", over="ignore"):
                 squared[rows] = ((spectra[1] - spectra[0]) ** 2).mean(axis=-1)
                 peak[rows] = spectra[0].max(axis=-1)
-                fit[rows] = goodness_of_fit(spectra[1], spectra[0])
+                found = goodness_of_fit(spectra[1], spectra[0])
+                fit[rows] = np.where(squared[rows] == 0.0, 1.0, found)  # black on black too
     said = f"{grid.size} bands, {grid[0]:g} to {grid[-1]:g} nm"
     return SpectralPair(xyz[0], xyz[1], squared, peak, fit, said, not _same(*grids))
 
