@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +14,7 @@ from usdskin.commands.reporter import GlobalOptions, Reporter
 
 if TYPE_CHECKING:
     from usdskin.judge.comparison import Comparison
+    from usdskin.judge.comparison_bars import Bar
 
 _PATH = click.Path(path_type=Path)
 
@@ -43,8 +46,9 @@ def _bars(value: str) -> dict[str, float]:
     "masks",
     multiple=True,
     metavar="RULE",
-    help="Pixels to judge: alpha, all, luminance:SHARE (of Y_n, in the truth) or a picture that is "
-    "white where they are; may be repeated, and then all must hold.  [default: alpha]",
+    help="Pixels to judge: alpha (fully covered), all, luminance:SHARE (of Y_n, in the truth) or a "
+    "picture that is white where they are; may be repeated, and then all must hold. alpha counts "
+    "unless all or a picture is given.  [default: alpha]",
 )
 @click.option(
     "--select",
@@ -81,15 +85,15 @@ def _bars(value: str) -> dict[str, float]:
     "--threshold",
     type=_bars,
     metavar="NAME=BAR,...",
-    help="Exit with 4 where a figure passes its bar: mean, median, p95, max of dE2000, flip (mean), "
-    "rmse, or gfc (mean, at least).",
+    help="Exit with 4 where a figure passes its bar: mean, median, p95, max of dE2000, flip "
+    "(mean), rmse, or gfc (mean, at least).",
 )
 @click.option(
     "-o",
     "--output",
     type=_PATH,
     metavar="FOLDER|MAPS.exr",
-    help="Write the maps as EXR and, with a legend, as PNG.",
+    help="Write the maps as EXR and, with a legend, as PNG; the latter alone for MAP.png.",
 )
 @click.pass_obj
 def compare(
@@ -120,9 +124,12 @@ def compare(
     """
     reporter = Reporter(options)
     from usdskin.judge.comparison import CompareOptions, compare_pictures
-    from usdskin.judge.comparison_bars import check_bars, known_bars
+    from usdskin.judge.comparison_bars import judge_bars, known_bars, require
+    from usdskin.judge.comparison_maps import map_files, write_maps
 
     known_bars(threshold or {})
+    if output is not None:
+        map_files(output, picture.stem)
     found = compare_pictures(
         truth,
         picture,
@@ -135,18 +142,18 @@ def compare(
             pixels_per_degree=pixels_per_degree,
         ),
     )
+    bars = judge_bars(found, threshold or {})
     reporter.notes(found.notes)
-    _show(reporter, found)
+    _show(reporter, found, bars)
     if output is not None:
-        from usdskin.judge.comparison_maps import write_maps
-
         reporter.wrote(write_maps(found, output))
-    check_bars(found, threshold or {})
+    require(found, bars)
 
 
-def _show(reporter: Reporter, found: Comparison) -> None:
+def _show(reporter: Reporter, found: Comparison, bars: Sequence[Bar]) -> None:
     if reporter.json:
-        reporter.event("comparison", **found.as_json())
+        judged = [dataclasses.asdict(bar) for bar in bars]
+        reporter.event("comparison", **found.as_json(), bars=judged)
     elif not reporter.quiet:
         from usdskin.judge.comparison_table import print_comparison
 

@@ -157,7 +157,7 @@ def photograph(options: GlobalOptions, /, environment: Path, output: Path, **giv
     Examples:
         usdskin photograph stages/capture_room/room.usda -o shoot
         usdskin photograph hall.hdr --illuminant FL2 -o shoot --views 3+zenith --glare 0.01
-        usdskin photograph stages/capture_room/tubes.usda -o tubes --same-camera shoot \\
+        usdskin photograph stages/capture_room/tubes.usda -o tubes --same-camera shoot \
             --chart classic24 --chart-only --light-class tubes
     """
     with Reporter(options) as reporter:

@@ -29,24 +29,23 @@ from usdskin.judge.comparison_files import (
     ComparedPicture,
     open_picture,
     read_colors,
-    read_irradiance,
 )
 from usdskin.judge.comparison_masks import (
     ID_PARTS,
     Labels,
-    covered,
+    bright_pixels,
+    check_mask,
+    judged_pixels,
     read_labels,
-    read_matte,
-    selected,
 )
 from usdskin.judge.comparison_spectra import SpectralPair, compare_spectra
+from usdskin.judge.comparison_white import diffuser_white, note_bright
 from usdskin.judge.flip import PIXELS_PER_DEGREE, flip_differences
 from usdskin.notes import Note
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MASK_RULES = ("alpha", "all")
 _DISPLAY = "lin_rec709_scene"
 
 
@@ -56,7 +55,7 @@ class CompareOptions:
 
     masks: tuple[str, ...] = ()
     """Rules that all hold in the mask: ``alpha``, ``all``, ``luminance:SHARE`` of Y_n in the truth,
-    or a file; alpha where there is one, else all, where none is given."""
+    or a file. Without ``all`` or a file ``alpha`` holds, where the pictures have it."""
 
     select: tuple[str, ...] = ()
     """Prims and materials to judge, by path or pattern; all where none is given."""
@@ -181,19 +180,25 @@ def compare_pictures(
     absolute = _absolute(first, second, notes)
     observer = _observer(first, second, given)
     pair, colors = _colors(first, second, observer, absolute)
-    mask, mask_from = _mask(first, second, given, notes)
-    diffuser, white_from = _diffuser(first, mask, observer, given)
-    mask, mask_from = _bright_mask(mask, mask_from, colors[0][..., 1] / diffuser[1], given)
-    _check_mask(mask, mask_from, first)
+    if pair is not None and pair.resampled:
+        notes.append(
+            Note("grids-differ", str(second.path), f"spectra were brought to {pair.grid}.")
+        )
+    mask, mask_from = judged_pixels(first, second, given.masks, given.select, notes)
+    check_mask(mask, mask_from, first)
+    diffuser, white_from = diffuser_white(first, mask, observer, given.diffuser)
+    luminance = colors[0][..., 1] / diffuser[1]
+    mask, mask_from = bright_pixels(mask, mask_from, luminance, given.masks)
+    check_mask(mask, mask_from, first)
     for xyz, of in zip(colors, (first, second), strict=True):
         _check_finite(xyz, mask, of)
+    note_bright(luminance[mask], first, notes)
     maps = _difference_maps(colors, diffuser, mask, given.pixels_per_degree)
     spectral = None
     if pair is not None:
-        spectral = _spectral_figures(pair, mask)
+        spectral = _spectral_figures(pair, mask, first)
         maps["gfc"] = np.where(mask, pair.fit, np.nan)
-        peak = float(pair.peak[mask].max())
-        maps["rmse"] = np.where(mask, np.sqrt(pair.squared_error) / peak, np.nan)
+        maps["rmse"] = np.where(mask, np.sqrt(pair.squared_error) / spectral["peak"], np.nan)
     labels, regions_from = _labels(first, given)
     return Comparison(
         truth=first.path,
@@ -267,101 +272,6 @@ def _colors(
     return None, (read_colors(first), read_colors(second))
 
 
-# --- The perfect diffuser ------------------------------------------------------------------------
-
-
-def _diffuser(
-    truth: ComparedPicture, mask: Mask, observer: Observer, given: CompareOptions
-) -> tuple[FloatArray, str]:
-    if given.diffuser is not None:
-        xyz = np.array(given.diffuser, dtype=np.float64)
-        if not (np.isfinite(xyz).all() and (xyz > 0.0).all()):
-            raise UsageError("--diffuser: X, Y and Z of a white are positive numbers.")
-        return xyz, "--diffuser"
-    found = read_irradiance(truth)
-    remedy = "render the truth with --aov irradiance, or give --diffuser X,Y,Z."
-    if found is None:
-        raise UsageError(
-            f"{truth.path}: no part irradiance, so no white to compare under; {remedy}"
-        )
-    if (truth.observer or DEFAULT_OBSERVER) != observer:
-        raise UsageError(
-            f"{truth.path}: its irradiance is seen by {truth.observer or DEFAULT_OBSERVER}, not by "
-            f"{observer}; render the truth for that observer, or give --diffuser X,Y,Z."
-        )
-    y = np.where(mask & np.isfinite(found).all(axis=-1), found[..., 1], -np.inf)
-    row, column = np.unravel_index(int(np.argmax(y)), y.shape)
-    xyz = found[row, column] / np.pi
-    if not (np.isfinite(xyz).all() and (xyz > 0.0).all()):
-        raise UsageError(
-            f"{truth.path}: its part irradiance is black within the mask (it holds domes and "
-            "distant lights alone); give --diffuser X,Y,Z."
-        )
-    return xyz, f"irradiance of the truth at column {column}, row {row}"
-
-
-# --- The mask ------------------------------------------------------------------------------------
-
-
-def _mask(
-    first: ComparedPicture, second: ComparedPicture, given: CompareOptions, notes: list[Note]
-) -> tuple[Mask, str]:
-    width, height = first.size
-    mask = np.ones((height, width), dtype=bool)
-    said: list[str] = []
-    rules = [rule for rule in given.masks if not rule.startswith("luminance:")]
-    if not rules and not (given.masks or given.select):
-        rules = ["alpha"] if covered(first, second) is not None else ["all"]
-        if rules == ["all"]:
-            notes.append(
-                Note(
-                    "no-mask",
-                    str(first.path),
-                    "the pictures have no alpha, so every pixel counts, dark background too.",
-                )
-            )
-    for rule in rules:
-        if rule == "all":
-            said.append("all pixels")
-        elif rule == "alpha":
-            alpha = covered(first, second)
-            if alpha is None:
-                raise UsageError("--mask alpha: neither picture has an alpha channel.")
-            mask &= alpha
-            said.append("alpha")
-        else:
-            mask &= read_matte(Path(rule), first.size)
-            said.append(Path(rule).name)
-    if given.select:
-        mask &= selected(first, given.select)
-        said.append(" or ".join(given.select))
-    return mask, " and ".join(said) or "all pixels"
-
-
-def _bright_mask(
-    mask: Mask, mask_from: str, luminance: FloatArray, given: CompareOptions
-) -> tuple[Mask, str]:
-    for rule in given.masks:
-        kind, _, number = rule.partition(":")
-        if kind != "luminance" or not number:
-            continue
-        try:
-            share = float(number)
-        except ValueError:
-            share = np.nan
-        if not share >= 0.0:
-            raise UsageError(f"--mask {rule}: the share of Y_n is a number from 0 on.")
-        with np.errstate(invalid="ignore"):
-            mask = mask & (luminance >= share)
-        mask_from += f" and Y >= {share:g} Y_n in the truth"
-    return mask, mask_from
-
-
-def _check_mask(mask: Mask, mask_from: str, truth: ComparedPicture) -> None:
-    if not mask.any():
-        raise ImageError(f"{truth.path}: the mask ({mask_from}) holds no pixel; choose another.")
-
-
 def _check_finite(xyz: FloatArray, mask: Mask, picture: ComparedPicture) -> None:
     bad = mask & ~np.isfinite(xyz).all(axis=-1)
     if bad.any():
@@ -422,12 +332,14 @@ def _statistics(values: FloatArray) -> dict[str, float]:
     }
 
 
-def _spectral_figures(pair: SpectralPair, mask: Mask) -> dict[str, Any]:
+def _spectral_figures(pair: SpectralPair, mask: Mask, truth: ComparedPicture) -> dict[str, Any]:
     peak = float(pair.peak[mask].max())
     error = pair.squared_error[mask]
     fit = pair.fit[mask]
+    if not peak > 0.0:
+        raise ImageError(f"{truth.path}: its spectra are black within the mask; choose another.")
     return {
-        "rmse": float(np.sqrt(error.mean()) / peak) if peak > 0.0 else None,
+        "rmse": float(np.sqrt(error.mean()) / peak),
         "peak": peak,
         "gfc": float(fit.mean()),
         "p05gfc": float(np.percentile(fit, 5.0)),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from usdskin.errors import FindingsError, UsageError
 from usdskin.judge.comparison import Comparison
@@ -21,6 +22,16 @@ _BARS = {
 _AT_LEAST = ("gfc",)
 
 
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """How a figure stands to its bar."""
+
+    name: str
+    value: float
+    bar: float
+    met: bool
+
+
 def known_bars(bars: Mapping[str, float]) -> None:
     """Check the names of bars.
 
@@ -34,45 +45,46 @@ def known_bars(bars: Mapping[str, float]) -> None:
             raise UsageError(f"--threshold {name}={bar:g}: a bar is a number from 0 on.")
 
 
-def passed_bars(found: Comparison, bars: Mapping[str, float]) -> list[tuple[str, float, float]]:
-    """Return the bars that do not hold: name, value and bar.
+def judge_bars(found: Comparison, bars: Mapping[str, float]) -> list[Bar]:
+    """Return how figures stand to their bars.
+
+    Args:
+        found: The comparison.
+        bars: Bar of each figure: the most, or of ``gfc`` the least.
 
     Raises:
-        UsageError: A bar is for spectra, and there are none.
+        UsageError: There is no such figure, or it is one of spectra and there are none.
     """
     known_bars(bars)
     figures = found.as_json()
-    passed = []
+    judged = []
     for name, bar in bars.items():
         section, key = _BARS[name]
         if figures[section] is None:
             raise UsageError(
                 f"--threshold {name}: not both pictures have spectra; render them with --spectral."
             )
-        value = figures[section][key]
-        holds = value >= bar if name in _AT_LEAST else value <= bar
-        if not holds:
-            passed.append((name, float(value), bar))
-    return passed
+        value = float(figures[section][key])
+        judged.append(Bar(name, value, bar, value >= bar if name in _AT_LEAST else value <= bar))
+    return judged
 
 
-def check_bars(found: Comparison, bars: Mapping[str, float]) -> None:
-    """Raise where a bar does not hold.
+def require(found: Comparison, bars: Sequence[Bar]) -> None:
+    """Raise where a bar is not met.
 
     Raises:
         FindingsError: Names every bar that was passed, and by what.
     """
-    passed = passed_bars(found, bars)
-    if passed:
-        said = "; ".join(
-            f"{_title(name)} {value:.4g} is {'under' if name in _AT_LEAST else 'over'} {bar:g}"
-            for name, value, bar in passed
-        )
+    said = "; ".join(
+        f"{_title(bar.name)} {bar.value:.4g} is {'under' if bar.name in _AT_LEAST else 'over'} "
+        f"{bar.bar:g}"
+        for bar in bars
+        if not bar.met
+    )
+    if said:
         raise FindingsError(f"{found.picture} against {found.truth}: {said}.")
 
 
 def _title(name: str) -> str:
     section, key = _BARS[name]
-    return (
-        f"dE2000 {key}" if section == "deltaE2000" else name.upper() if name != "flip" else "FLIP"
-    )
+    return f"dE2000 {key}" if section == "deltaE2000" else name.upper()

@@ -6,9 +6,9 @@ alone; of other makers any EXR with R, G, B or spectral channels.
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from usdskin.colorimetry import color_space_names, rgb_to_xyz
 from usdskin.errors import ImageError
 from usdskin.image_files import ImageHeader
-from usdskin.images import open_rows, read_headers, read_image
+from usdskin.images import RowReader, open_rows, read_headers, read_image
 from usdskin.spectral_layout import spectral_channels
 
 FloatArray = NDArray[np.float64]
 
 SPECTRAL_SUFFIX = ".spectral.exr"
 _RGB = ("R", "G", "B")
-_ROWS_PER_BLOCK = 64
+_MOST_MB = 2**15  # of a file that is read a block at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,9 +176,7 @@ def color_space_of(file: PictureFile, index: int) -> str:
     Raises:
         ImageError: It names a space that is not known here.
     """
-    name = file.parts[index].color_space or "lin_rec709_scene"
-    if name == "data":
-        name = "lin_rec709_scene"
+    name = file.parts[index].color_space or "lin_rec709_scene"  # OpenEXR's default
     if name not in color_space_names() or not name.startswith("lin_"):
         raise ImageError(
             f"{file.path}: colours in {name!r} cannot be compared; write it in a linear space such "
@@ -243,21 +241,9 @@ def read_irradiance(picture: ComparedPicture) -> FloatArray | None:
     return np.asarray(pixels @ rgb_to_xyz(color_space_of(file, index)).T)
 
 
-class SpectrumReader:
-    """Rows of a spectral file, ``read`` in order."""
-
-    def __init__(self, picture: ComparedPicture, reader: Any) -> None:
-        """Take an opened file."""
-        self._picture, self._reader = picture, reader
-
-    def read(self, begin: int, end: int) -> FloatArray:
-        """Return spectra of rows, shape [end - begin, width, band_count]."""
-        return np.asarray(self._reader.rows(begin, end), dtype=np.float64)
-
-
-def spectral_rows(picture: ComparedPicture) -> Any:
-    """Return a context in which the rows of a picture's spectra can be read."""
+def spectral_rows(picture: ComparedPicture) -> AbstractContextManager[RowReader]:
+    """Return a context in which rows of a picture's spectra are read, bands ascending."""
     assert picture.spectral is not None
     index = picture.spectral.spectral_part or 0
     names = [name for _, name in spectral_channels(picture.spectral.parts[index].channel_names)]
-    return open_rows(picture.spectral.path, 2**15, part=index, channels=names)
+    return open_rows(picture.spectral.path, _MOST_MB, part=index, channels=names)

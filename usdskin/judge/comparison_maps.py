@@ -21,8 +21,6 @@ from usdskin.judge.comparison import Comparison
 
 FloatImage = NDArray[np.float32]
 
-SUFFIX = ".difference.exr"
-
 _LEAST_HEIGHT, _MOST_HEIGHT = 420, 2160
 _TOPS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 _PAPER, _INK, _FAINT = (250, 250, 250), (20, 20, 20), (110, 110, 110)
@@ -31,8 +29,8 @@ _OVER = (255, 0, 200)
 """Differences beyond the scale: a colour that the scale has not."""
 
 
-def map_files(output: Path, stem: str) -> tuple[Path, Path]:
-    """Return the names of the EXR and the PNG.
+def map_files(output: Path, stem: str) -> list[Path]:
+    """Return the names of the EXR and the PNG, or of the PNG alone where it is named.
 
     Args:
         output: A folder, or a file that ends in .exr or .png.
@@ -43,10 +41,10 @@ def map_files(output: Path, stem: str) -> tuple[Path, Path]:
     """
     kind = output.suffix.lower()
     if output.is_dir() or not kind:
-        return output / f"{stem}{SUFFIX}", output / f"{stem}.difference.png"
+        return [output / f"{stem}.difference{suffix}" for suffix in (".exr", ".png")]
     if kind not in (".exr", ".png"):
         raise UsageError(f"-o {output}: give a folder, or a name that ends in .exr or .png.")
-    return output.with_suffix(".exr"), output.with_suffix(".png")
+    return [output] if kind == ".png" else [output, output.with_suffix(".png")]
 
 
 def write_maps(comparison: Comparison, output: str | Path) -> list[Path]:
@@ -54,33 +52,41 @@ def write_maps(comparison: Comparison, output: str | Path) -> list[Path]:
 
     Args:
         comparison: What ``compare_pictures`` returned.
-        output: A folder, which is made, or a file: the EXR, with the PNG beside it.
+        output: A folder, which is made, or a file: the EXR, with the PNG beside it, or the PNG.
 
     Returns:
-        The EXR and the PNG.
+        The files written.
 
     Raises:
         ImageError: They cannot be written, or would take the place of a picture compared.
         UsageError: The name is neither a folder nor that of a picture.
     """
-    exr, png = map_files(Path(output), comparison.stem)
-    for source in (comparison.truth, comparison.picture):
-        if exr.resolve() == source.resolve():
-            raise ImageError(f"{exr}: this is one of the pictures compared; choose another name.")
+    files = map_files(Path(output), comparison.stem)
+    compared = {path.resolve() for path in (comparison.truth, comparison.picture)}
+    for file in files:
+        if file.resolve() in compared:
+            raise ImageError(f"{file}: this is one of the pictures compared; choose another name.")
+    folder = files[0].parent
     try:
-        exr.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ImageError(f"{exr.parent}: cannot make this folder: {error.strerror}.") from None
+        raise ImageError(f"{folder}: cannot make this folder: {error.strerror}.") from None
     said = json.dumps(comparison.as_json(), sort_keys=True)
+    header = {"usdskin/version": __version__, "usdskin/comparison": said}
+    for file in files:
+        if file.suffix.lower() == ".png":
+            write_png(file, heat_map(comparison), header)
+        else:
+            write_exr(file, [Part("difference", _layers(comparison), header)])
+    return files
+
+
+def _layers(comparison: Comparison) -> dict[str, FloatImage]:
     layers = {
         name: np.where(comparison.mask, values, 0.0).astype(np.float32)
         for name, values in comparison.maps.items()
     }
-    layers["mask"] = comparison.mask.astype(np.float32)
-    header = {"usdskin/version": __version__, "usdskin/comparison": said}
-    write_exr(exr, [Part("difference", layers, header)])
-    write_png(png, heat_map(comparison), header)
-    return [exr, png]
+    return {**layers, "mask": comparison.mask.astype(np.float32)}
 
 
 def scale_top(comparison: Comparison) -> float:
@@ -97,17 +103,17 @@ def heat_map(comparison: Comparison) -> NDArray[np.uint8]:
     """
     import cv2
 
-    height, width = comparison.mask.shape
+    height = comparison.mask.shape[0]
     factor = max(1, -(-_LEAST_HEIGHT // height)) if height <= _MOST_HEIGHT else 1
     top = scale_top(comparison)
     colors = _colors(np.where(comparison.mask, comparison.maps["dE2000"], 0.0), top)
     colors[~comparison.mask] = _OUTSIDE
     picture = cv2.resize(colors, None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)
-    letter = max(8.0, picture.shape[0] / 52.0)
+    letter = max(10.0, picture.shape[0] / 45.0)
     lines = _caption(comparison)
     most = max(text_width(line, letter) for line in lines)
     margin = round(2.0 * letter)
-    legend = round(11.0 * letter)
+    legend = round(12.0 * letter)
     foot = round(2.2 * letter * len(lines) + 2.5 * letter)
     page_width = max(picture.shape[1] + legend, most) + 2 * margin
     page = np.empty((picture.shape[0] + margin + foot, page_width, 3), np.float32)
@@ -151,7 +157,7 @@ def _draw_legend(
         page[round(row), left + wide : left + wide + round(0.4 * letter)] = _INK
         write(page, f"{share * top:g}", (text, row + 0.5 * letter), letter, _INK)
     page[last + box : last + 2 * box, left : left + wide] = _OUTSIDE
-    write(page, "masked", (text, last + 1.5 * box + 0.5 * letter), letter, _FAINT)
+    write(page, "not judged", (text, last + 1.5 * box + 0.5 * letter), letter, _FAINT)
 
 
 def _caption(comparison: Comparison) -> list[str]:

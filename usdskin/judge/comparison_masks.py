@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from usdskin.errors import ImageError, UsageError
 from usdskin.images import read_image
 from usdskin.judge.comparison_files import ComparedPicture, read_alpha
+from usdskin.notes import Note
 
 Mask = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
@@ -186,4 +187,98 @@ def covered(truth: ComparedPicture, picture: ComparedPicture) -> Mask | None:
     alphas = [alpha for alpha in (read_alpha(truth), read_alpha(picture)) if alpha is not None]
     if not alphas:
         return None
-    return np.asarray(np.min(alphas, axis=0) >= FULL_COVERAGE)
+    # What is not finite stays, to be refused.
+    return np.asarray(~np.any([alpha < FULL_COVERAGE for alpha in alphas], axis=0))
+
+
+def judged_pixels(
+    first: ComparedPicture,
+    second: ComparedPicture,
+    masks: Sequence[str],
+    select: Sequence[str],
+    notes: list[Note],
+) -> tuple[Mask, str]:
+    """Return the mask of all rules but those of luminance, and how it was chosen.
+
+    Args:
+        first: The truth.
+        second: The picture that is judged, of the same size.
+        masks: Rules (``CompareOptions.masks``).
+        select: Prims and materials (``CompareOptions.select``).
+        notes: Takes the note that nothing is masked.
+
+    Raises:
+        ImageError: A matte cannot be read or is of another size.
+        UsageError: A rule cannot be followed.
+    """
+    width, height = first.size
+    mask = np.ones((height, width), dtype=bool)
+    said: list[str] = []
+    rules = [rule for rule in masks if not rule.startswith("luminance:")]
+    if not rules:
+        rules = ["alpha"] if covered(first, second) is not None else ["all"]
+        if rules == ["all"] and not (masks or select):
+            notes.append(
+                Note(
+                    "no-mask",
+                    str(first.path),
+                    "the pictures have no alpha, so every pixel counts, dark background too.",
+                )
+            )
+    for rule in rules:
+        if rule == "all":
+            said.append("all pixels")
+        elif rule == "alpha":
+            alpha = covered(first, second)
+            if alpha is None:
+                raise UsageError("--mask alpha: neither picture has an alpha channel.")
+            mask &= alpha
+            said.append("alpha")
+        else:
+            mask &= read_matte(Path(rule), first.size)
+            said.append(Path(rule).name)
+    if select:
+        mask &= selected(first, select)
+        named = " or ".join(select)
+        said.append(f"({named})" if len(select) > 1 else named)
+    return mask, " and ".join(said) or "all pixels"
+
+
+def bright_pixels(
+    mask: Mask, mask_from: str, luminance: FloatArray, masks: Sequence[str]
+) -> tuple[Mask, str]:
+    """Return the mask with its rules of luminance.
+
+    Args:
+        mask: What ``judged_pixels`` returned.
+        mask_from: How it was chosen.
+        luminance: Of the truth as a share of Y_n, shape [height, width].
+        masks: Rules (``CompareOptions.masks``).
+
+    Raises:
+        UsageError: A share is no number.
+    """
+    for rule in masks:
+        kind, _, number = rule.partition(":")
+        if kind != "luminance" or not number:
+            continue
+        try:
+            share = float(number)
+        except ValueError:
+            share = np.nan
+        if not share >= 0.0:
+            raise UsageError(f"--mask {rule}: the share of Y_n is a number from 0 on.")
+        with np.errstate(invalid="ignore"):
+            mask = mask & ~(luminance < share)  # what is not finite stays, to be refused
+        mask_from += f" and Y >= {share:g} Y_n in the truth"
+    return mask, mask_from
+
+
+def check_mask(mask: Mask, mask_from: str, truth: ComparedPicture) -> None:
+    """Refuse a mask without a pixel.
+
+    Raises:
+        ImageError: It is empty.
+    """
+    if not mask.any():
+        raise ImageError(f"{truth.path}: the mask ({mask_from}) holds no pixel; choose another.")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from usdskin.colorimetry import Observer, xyz_weights
 from usdskin.differences import goodness_of_fit
 from usdskin.errors import ImageError
-from usdskin.judge.comparison_files import ComparedPicture, SpectrumReader, spectral_rows
+from usdskin.judge.comparison_files import ComparedPicture, spectral_rows
 from usdskin.spectrum import band_edges, resample
 
 FloatArray = NDArray[np.float64]
@@ -44,6 +44,9 @@ class SpectralPair:
     grid: str
     """The grid both were brought to, in words."""
 
+    resampled: bool
+    """Whether their own grids differ."""
+
 
 def common_grid(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the coarser of two grids, within the range of both.
@@ -55,7 +58,7 @@ def common_grid(first: FloatArray, second: FloatArray) -> FloatArray:
     Raises:
         ImageError: They share less than two bands.
     """
-    if first.size == second.size and np.allclose(first, second, rtol=0.0, atol=_SAME_NM):
+    if _same(first, second):
         return first
     low = max(band_edges(grid)[0] for grid in (first, second))
     high = min(band_edges(grid)[-1] for grid in (first, second))
@@ -67,7 +70,7 @@ def common_grid(first: FloatArray, second: FloatArray) -> FloatArray:
             f"the spectra share no range: {first[0]:g} to {first[-1]:g} nm and {second[0]:g} to "
             f"{second[-1]:g} nm; render both over the same wavelengths."
         )
-    return coarse[inside]
+    return np.asarray(coarse[inside])
 
 
 def compare_spectra(
@@ -85,34 +88,34 @@ def compare_spectra(
         ImageError: A file is broken, or their grids share no range.
     """
     grids = [truth.wavelength_nm, picture.wavelength_nm]
-    grid = grids[0] if np.array_equal(*map(_rounded, grids)) else common_grid(*grids)
+    grid = common_grid(*grids)
     weights = xyz_weights(grid, observer, absolute)
     width, height = truth.size
     xyz = [np.empty((height, width, 3)) for _ in grids]
     squared, peak, fit = (np.empty((height, width)) for _ in range(3))
     with spectral_rows(truth) as one, spectral_rows(picture) as other:
-        readers = [SpectrumReader(truth, one), SpectrumReader(picture, other)]
         for begin in range(0, height, _ROWS_PER_BLOCK):
             rows = slice(begin, min(begin + _ROWS_PER_BLOCK, height))
             spectra = [
-                _on(reader.read(rows.start, rows.stop), own, grid)
-                for reader, own in zip(readers, grids, strict=True)
+                _on(reader.rows(rows.start, rows.stop), own, grid)
+                for reader, own in zip((one, other), grids, strict=True)
             ]
             for colors, values in zip(xyz, spectra, strict=True):
                 colors[rows] = values @ weights
             with np.errstate(invalid="ignore", over="ignore"):
                 squared[rows] = ((spectra[1] - spectra[0]) ** 2).mean(axis=-1)
                 peak[rows] = spectra[0].max(axis=-1)
-                fit[rows] = goodness_of_fit(spectra[1], spectra[0])
+                found = goodness_of_fit(spectra[1], spectra[0])
+                fit[rows] = np.where(squared[rows] == 0.0, 1.0, found)  # black on black too
     said = f"{grid.size} bands, {grid[0]:g} to {grid[-1]:g} nm"
-    return SpectralPair(xyz[0], xyz[1], squared, peak, fit, said)
+    return SpectralPair(xyz[0], xyz[1], squared, peak, fit, said, not _same(*grids))
 
 
-def _rounded(grid: FloatArray) -> FloatArray:
-    return np.round(grid / _SAME_NM)
+def _same(first: FloatArray, second: FloatArray) -> bool:
+    same_size = first.size == second.size
+    return same_size and bool(np.allclose(first, second, rtol=0.0, atol=_SAME_NM))
 
 
-def _on(values: FloatArray, own: FloatArray, grid: FloatArray) -> FloatArray:
-    if own is grid or (own.size == grid.size and np.allclose(own, grid, rtol=0.0, atol=_SAME_NM)):
-        return values
-    return resample(own, values, grid)
+def _on(values: NDArray[np.float32], own: FloatArray, grid: FloatArray) -> FloatArray:
+    spectra = np.asarray(values, dtype=np.float64)
+    return spectra if _same(own, grid) else resample(own, spectra, grid)

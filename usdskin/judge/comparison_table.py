@@ -20,9 +20,9 @@ def print_comparison(found: Comparison) -> None:
     console.print(f"Y_n    {found.diffuser_xyz[1]:.6g}, from {found.white_from}")
     console.print(f"white  x {x:.5f} y {y:.5f}, {found.observer}")
     table = Table()
-    table.add_column("")
+    table.add_column("", overflow="fold")
     for name in _STATISTICS:
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=True)
     rows = [("dE2000", "dE2000"), ("dE76", "dE76"), ("FLIP", "flip")]
     for title, name in rows:
         figures = found.statistics(name)

@@ -58,7 +58,7 @@ def flip_differences(
     opponent = [_opponent(image) for image in (test, reference)]
     color = _color_difference(*(_seen(image, pixels_per_degree) for image in opponent))
     lightness = [(image[..., 0] + 16.0) / 116.0 for image in opponent]
-    feature = _feature_difference(*lightness, pixels_per_degree)
+    feature = _feature_difference(lightness[0], lightness[1], pixels_per_degree)
     return np.asarray(color ** (1.0 - feature))
 
 
