@@ -25,9 +25,9 @@ BoolArray = NDArray[np.bool_]
 
 _FINER = (21, 13)
 """Rays in a texel that holds an edge, a Fibonacci number and the one before it."""
-_FINEST = (987, 610)
-"""Rays in one that holds the edge of a lamp, at 192 rows and more."""
-_FINEST_COARSE = (2584, 1597)
+_FINEST = (4181, 2584)
+"""Rays in one that holds the edge of a lamp, at 256 rows and more."""
+_FINEST_COARSE = (28657, 17711)
 """The same, in coarser pictures."""
 _CONTRAST = 0.03
 _RAYS = 1 << 16
@@ -251,7 +251,7 @@ def _add_lamps(model: Model, grid: _Grid, image: dict[str, FloatArray]) -> tuple
         _mark(marked, grid, set_lamps.outline(lamp, origin[None])[0] - origin)
     marked = _grown(marked)
     planes = model.surfaces.planes()
-    finest = _FINEST if grid.height >= 192 else _FINEST_COARSE
+    finest = _FINEST if grid.height >= 256 else _FINEST_COARSE
     for part in _parts(np.flatnonzero(marked), finest[0]):
         rays = grid.rays(part, finest).reshape(-1, 3)
         nearest = np.full(len(rays), np.inf)
