@@ -154,7 +154,7 @@ class _Eye:
         self._planes = model.surfaces.planes()
         self._normals = model.surfaces.normal
         self._spectra = {name: model.sources.spectra_of(name) for name in solutions}
-        counts = [len(u) * len(v) for u, v in model.cells.cuts]
+        counts = [len(u) * len(v) for u, v in model.nodes.cuts]
         self._first = np.concatenate([[0], np.cumsum(counts)])
 
     def sees(self, directions: FloatArray) -> BoolArray:
@@ -201,7 +201,7 @@ class _Eye:
 
     def _between(self, index: int, points: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
         """Return the weights of four corners of a cell, and which they are, shape [count, 4]."""
-        cuts = self._model.cells.cuts[index]
+        cuts = self._model.nodes.cuts[index]
         _, u, v = coordinates(self._planes[index], points)
         at, low = [], []
         for coordinate, cut in ((u, cuts[0]), (v, cuts[1])):
