@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.judge.set_cells import Cells, cut_cells
-from usdskin.judge.set_geometry import Blockers, candidates, coordinates, is_open
+from usdskin.judge.set_cells import Cells, Cutting, cut_cells
+from usdskin.judge.set_geometry import Blockers, candidates, coordinates, first_surfaces, is_open
 from usdskin.judge.set_polygons import clip_above, projected_in_plane
 from usdskin.judge.set_sources import Sources, make_sources
 from usdskin.judge.sets import SetScene
+from usdskin.latlong import texel_directions
 
 FloatArray = NDArray[np.float64]
 
@@ -26,6 +27,10 @@ _GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
 _CHUNK = 1 << 19
 _INSET = 0.01
 """How far a corner of a cell is moved inwards where it is at the surface's edge, in cells."""
+_NODES = 3
+"""Corners that light is gathered at, over the count of cells."""
+_EDGE = 0.2
+"""Their distance at the edges of surfaces, where light changes fastest, over that elsewhere."""
 _TOLERANCE = 1e-9
 _MOST_BOUNCES = 5000
 
@@ -41,6 +46,9 @@ class Model:
     surface_count: int
     sources: Sources
     cells: Cells
+
+    nodes: Cells
+    """Whose corners light is gathered at; only what is in sight is cut finely."""
 
     polygons: FloatArray
     """Corners of the cells [m], shape [cell_count, 4, 3]."""
@@ -103,7 +111,11 @@ def make_model(scene: SetScene, cell_count: int) -> Model:
         np.concatenate([surfaces.along, np.reshape(along, (-1, 3))]),
         np.concatenate([surfaces.across, np.reshape(across, (-1, 3))]),
     )
-    cells = cut_cells(plain, cell_count, scene.capture_point)
+    count = len(plain.corner)
+    everywhere = Cutting(scene.capture_point, np.ones(count, bool))
+    cells = cut_cells(plain, cell_count, everywhere)
+    in_sight = Cutting(scene.capture_point, _in_sight(plain, scene.capture_point), _EDGE)
+    nodes = cut_cells(plain, _NODES * cell_count, in_sight)
     polygons = np.concatenate([_polygons(plain, cells, k) for k in range(len(plain.corner))])
     edges = np.cross(polygons[:, 1] - polygons[:, 0], polygons[:, 3] - polygons[:, 0])
     scene = replace(scene, lamps=lamps)
@@ -113,9 +125,17 @@ def make_model(scene: SetScene, cell_count: int) -> Model:
         surface_count=len(surfaces.corner),
         sources=make_sources(scene, blockers),
         cells=cells,
+        nodes=nodes,
         polygons=polygons,
         area=np.linalg.norm(edges, axis=1),
     )
+
+
+def _in_sight(surfaces: Blockers, point: FloatArray) -> NDArray[np.bool_]:
+    """Return which surfaces a point sees anything of, shape [count]."""
+    rays = texel_directions(90, 180).reshape(-1, 3)
+    met, _ = first_surfaces(surfaces.planes(), point, rays)
+    return np.asarray(np.bincount(met[met >= 0], minlength=len(surfaces.corner)) > 0)
 
 
 def _first(blockers: Blockers, count: int) -> Blockers:
@@ -312,7 +332,7 @@ def corner_nodes(cuts: FloatArray) -> FloatArray:
 
 def corner_points(model: Model, index: int) -> FloatArray:
     """Return where light is gathered on a surface [m], shape [count, 3], rows of u."""
-    u, v = (corner_nodes(cuts) for cuts in model.cells.cuts[index])
+    u, v = (corner_nodes(cuts) for cuts in model.nodes.cuts[index])
     both = np.meshgrid(u, v, indexing="ij")
     return place(model.blockers, index, both[0].ravel(), both[1].ravel())
 

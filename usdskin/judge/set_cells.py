@@ -5,6 +5,7 @@ Cuts run along the edges of what touches a surface, so that no cell is half belo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,39 +50,52 @@ class Cells:
         return np.stack([u[i], u[i + 1], v[j], v[j + 1]], axis=1)
 
 
-def cut_cells(blockers: Blockers, count: int, camera: FloatArray, least: int = 2) -> Cells:
+@dataclass(frozen=True, slots=True, eq=False)
+class Cutting:
+    """How surfaces are cut."""
+
+    camera: FloatArray
+    """From where the set is seen [m], shape [3]."""
+
+    is_fine: NDArray[np.bool_]
+    """Surfaces that are cut as wanted, others only in two, shape [surface_count]."""
+
+    edge: float = 1.0
+    """Size at the edges of surfaces, over the size elsewhere."""
+
+
+def cut_cells(blockers: Blockers, count: int, cutting: Cutting) -> Cells:
     """Return about as many cells as asked for, all about as large near the camera.
 
     Args:
         blockers: The surfaces.
         count: How many, at most.
-        camera: From where the set is seen [m], shape [3].
-        least: Cells along the edge of a surface, at least.
+        cutting: How they are cut.
     """
     lines = [_touching(blockers, index) for index in range(len(blockers.corner))]
     low, high = 1e-4, 1e4
-    for _ in range(40):
+    for _ in range(24):
         size = float(np.sqrt(low * high))
-        if _cells(blockers, lines, size, camera, least).count > count:
+        if _cells(blockers, lines, size, cutting).count > count:
             low = size
         else:
             high = size
-    return _cells(blockers, lines, high, camera, least)
+    return _cells(blockers, lines, high, cutting)
 
 
 def _cells(
     blockers: Blockers,
     lines: list[tuple[FloatArray, FloatArray]],
     size: float,
-    camera: FloatArray,
-    least: int,
+    cutting: Cutting,
 ) -> Cells:
     cuts = []
     for index, (u_lines, v_lines) in enumerate(lines):
         u_edge, v_edge = blockers.along[index], blockers.across[index]
         corner = blockers.corner[index]
-        u = _cut(u_lines, corner, u_edge, v_edge, size, camera, least)
-        v = _cut(v_lines, corner, v_edge, u_edge, size, camera, least)
+        wanted = size if cutting.is_fine[index] else np.inf
+        u = _cut(u_lines, corner, u_edge, v_edge, wanted, cutting)
+        v = _cut(v_lines, corner, v_edge, u_edge, wanted, cutting)
         cuts.append((u, v))
     counts = [(u.size - 1) * (v.size - 1) for u, v in cuts]
     return Cells(tuple(cuts), np.concatenate([[0], np.cumsum(counts)]))
@@ -110,23 +124,28 @@ def _cut(
     edge: FloatArray,
     other: FloatArray,
     size: float,
-    camera: FloatArray,
-    least: int,
+    cutting: Cutting,
 ) -> FloatArray:
     """Return where one edge is cut: halves, until strips are no wider than wanted."""
     length = float(np.linalg.norm(edge))
     samples = corner + np.linspace(0.0, 1.0, 5)[:, None] * other
     result = [lines[0]]
-    span = float(lines[-1] - lines[0])
-    stack = [(float(a), float(b)) for a, b in zip(lines[-2::-1], lines[:0:-1], strict=True)]
+    ends = zip(lines[-2::-1].tolist(), lines[:0:-1].tolist(), strict=True)
+    stack = [(a, b, a, b) for a, b in ends]
     while stack:
-        a, b = stack.pop()
-        inside = np.clip(_nearest(camera - samples, edge), a, b)
-        nearest = np.linalg.norm(samples + inside[:, None] * edge - camera, axis=1).min()
-        wanted = max(size, _FAR * float(nearest))
-        if (b - a) * length > wanted or (b - a) > span / least + 1e-9:
+        a, b, low, high = stack.pop()
+        wanted = size
+        if cutting.edge < 1.0:
+            inner = length * max(min(a - low, high - b), 0.0)
+            wanted *= min(1.0, cutting.edge + 0.5 * inner / size)
+        if math.isfinite(size):
+            inside = np.clip(_nearest(cutting.camera - samples, edge), a, b)
+            away = samples + inside[:, None] * edge - cutting.camera
+            wanted = max(wanted, _FAR * float(np.linalg.norm(away, axis=1).min()))
+        is_whole = a == lines[0] and b == lines[-1]
+        if (b - a) * length > wanted or is_whole:
             middle = 0.5 * (a + b)
-            stack += [(middle, b), (a, middle)]
+            stack += [(middle, b, low, high), (a, middle, low, high)]
         else:
             result.append(b)
     return np.array(result)
