@@ -11,7 +11,7 @@ from usdskin.layers import write_layer
 
 # isort: split
 # After ours, which register the schemas.
-from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+from pxr import Gf, Usd, UsdGeom, Vt
 
 FOLDER = Path(__file__).resolve().parent
 
