@@ -258,3 +258,18 @@ def test_faults_do_what_they_are_called():
     assert clipping_of(0.5)(values).max() == 0.5 * values.max()
     seen = vignetting_of(0.1)(np.ones((64, 128, 3)))
     assert 0.93 < seen.min() < seen.max() <= 1.0
+
+
+def test_a_report_shows_every_part_of_the_proof(proved, tmp_path, capsys):
+    """Its read-out recomputes colours from the renders, and they are those that were compared."""
+    output, proof = proved
+    assert main(["report", str(output), "-o", str(tmp_path / "report.html")]) == 0
+    text = (tmp_path / "report.html").read_text()
+    told = capsys.readouterr().err
+
+    assert "colors-not-shown" not in told
+    assert "the proof holds nothing for: Tones of skin, Error budget." in told
+    for row in proof["comparisons"]:
+        assert f">{row['result']['deltaE2000']['mean']:.2f}<" in text
+    for digest in (file["sha256"] for file in proof["files"].values()):
+        assert digest in text
