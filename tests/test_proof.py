@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +12,17 @@ import pytest
 from proof_sets import TINY, write_set
 
 from usdskin.cli import main
-from usdskin.differences import delta_e_of_signals
+from usdskin.colorimetry import color_matching_functions
 from usdskin.errors import LayerError, UsageError
 from usdskin.images import read_image, read_spectral
 from usdskin.judge import proof as proof_module
 from usdskin.judge.proof import prove
 from usdskin.judge.proof_bars import bars_of, light_bar
+from usdskin.judge.proof_budget import clipping_of, glare_of, rotation_of, vignetting_of
 from usdskin.judge.proof_options import ProofOptions, size_of
 from usdskin.judge.proof_record import JOURNAL_NAME, PROOF_NAME, Journal
 from usdskin.judge.proof_shoot import turned_views
+from usdskin.latlong import texel_solid_angles
 
 ESTIMATORS = ("ingest", "capture", "camera", "light", "skin-fit")
 
@@ -66,22 +70,32 @@ def test_the_estimates_are_near_the_truth(proved):
     assert abs(wrap["estimated"] - wrap["true"]) < 4.0 * wrap["stddev"]
 
 
-def test_the_mean_color_of_the_ball_differs_as_the_proof_says(proved):
-    """By hand: the mean spectra of both pictures against the diffuser that the comparison names."""
+def test_an_outside_formula_finds_the_same_difference(proved):
+    """By hand: tristimulus values of both spectral files, L*a*b*, and colour-science's dE2000."""
+    from colour.difference import delta_E_CIE2000
+
     output, proof = proved
     row = next(row for row in proof["comparisons"] if row["name"] == "light")
     nm, truth = read_spectral(output / "renders/truth_map.spectral.exr")
     _, found = read_spectral(output / "renders/light_map.spectral.exr")
-    alpha = read_image(output / "renders/truth_map.exr", channels=("A",)).pixels[..., 0] > 0.999
-    y = row["result"]["yN"] / 683.002
-    white = np.full(nm.size, y / 106.9)  # an equal-energy white of the same Y_n
+    shown = read_image(output / "renders/truth_map.exr", channels=("A",)).pixels[..., 0] >= 0.999
+    functions = 683.002 * 5.0 * color_matching_functions(nm)
+    x, y = row["result"]["white"]
+    white = row["result"]["yN"] * np.array([x / y, 1.0, (1.0 - x - y) / y])
 
-    mean = delta_e_of_signals(
-        found[alpha].astype(float), truth[alpha].astype(float), white, nm
-    ).mean()
+    def lab(spectra):
+        share = spectra[shown].astype(float) @ functions / white
+        root = np.where(share > (6 / 29) ** 3, np.cbrt(share), share / (3 * (6 / 29) ** 2) + 4 / 29)
+        fx, fy, fz = root.T
+        return np.stack([116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz)], axis=-1)
 
-    # Another white, a little more or less chroma; the size of the difference stays.
-    assert mean == pytest.approx(row["result"]["deltaE2000"]["mean"], rel=0.35)
+    difference = delta_E_CIE2000(lab(found), lab(truth))
+
+    assert row["result"]["mask"]["pixels"] == shown.sum()
+    assert difference.mean() == pytest.approx(row["result"]["deltaE2000"]["mean"], abs=2e-3)
+    assert np.percentile(difference, 95) == pytest.approx(
+        row["result"]["deltaE2000"]["p95"], abs=4e-3
+    )
 
 
 def test_no_estimator_reads_the_truth(proved):
@@ -106,7 +120,7 @@ def test_estimators_give_the_same_without_the_truth_on_the_disk(proved, monkeypa
     try:
         for name in ESTIMATORS:
             command = steps_of(proof)[name]["command"]
-            words = __import__("shlex").split(command)[1:]
+            words = shlex.split(command)[1:]
             assert main(["-q", *words]) == 0, command
     finally:
         for index, path in enumerate(hidden):
@@ -208,3 +222,54 @@ def test_bars_are_those_of_the_condition():
     assert light_bar(ProofOptions(scale_error=0.03), is_mixed=False) == 0.8
     assert [bar["met"] for bar in bars_of([row], ProofOptions(capture="ideal"), True)] == [True]
     assert [bar["met"] for bar in bars_of([row], ProofOptions(capture="ideal"), False)] == [False]
+
+
+def test_a_real_shoot_is_judged_by_its_charts(proved, tmp_path):
+    output, _ = proved
+    shoot = tmp_path / "shoot"
+    shutil.copytree(output / "shoot", shoot, ignore=shutil.ignore_patterns("truth"))
+    told = []
+    done = prove(shoot, tmp_path / "out", tell=lambda step, _: told.append(step.name))
+    proof = json.loads(done.path.read_text())
+    (row,) = proof["patches"]
+
+    assert told == ["capture", "camera", "light"]
+    assert row["leaveOneOut"]["deltaE2000"]["mean"] < 5.0
+    assert row["relit"]["gfc"] > 0.99
+    assert len(row["patches"]) == 24
+    assert proof["comparisons"] == [] and proof["bars"] == []
+    assert any("true light is not known" in text for text in proof["missing"])
+
+
+def test_a_shoot_without_charts_is_refused(tmp_path, capsys):
+    (tmp_path / "shoot.usda").write_text("#usda 1.0\n")
+
+    assert main(["prove", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
+    assert "no chart*.usda" in capsys.readouterr().err
+
+
+def test_faults_do_what_they_are_called():
+    values = np.random.default_rng(1).uniform(0.5, 1.5, (16, 32, 3))
+    solid = texel_solid_angles(16, 32)[:, None, None]
+
+    np.testing.assert_allclose((glare_of(0.1)(values) * solid).sum(), (values * solid).sum())
+    np.testing.assert_allclose(rotation_of(45.0)(values), np.roll(values, 4, axis=1))
+    np.testing.assert_allclose(rotation_of(3.0)(values).sum(axis=1), values.sum(axis=1))
+    assert clipping_of(0.5)(values).max() == 0.5 * values.max()
+    seen = vignetting_of(0.1)(np.ones((64, 128, 3)))
+    assert 0.93 < seen.min() < seen.max() <= 1.0
+
+
+def test_a_report_shows_every_part_of_the_proof(proved, tmp_path, capsys):
+    """Its read-out recomputes colours from the renders, and they are those that were compared."""
+    output, proof = proved
+    assert main(["report", str(output), "-o", str(tmp_path / "report.html")]) == 0
+    text = (tmp_path / "report.html").read_text()
+    told = capsys.readouterr().err
+
+    assert "colors-not-shown" not in told
+    assert "the proof holds nothing for: Tones of skin, Error budget." in told
+    for row in proof["comparisons"]:
+        assert f">{row['result']['deltaE2000']['mean']:.2f}<" in text
+    for digest in (file["sha256"] for file in proof["files"].values()):
+        assert digest in text

@@ -377,6 +377,19 @@ def test_changed_file_is_refused(copy, capsys):
     assert "capture.usda: has changed since the proof was made" in refusal(capsys, copy)
 
 
+def test_file_without_a_hash_is_refused(copy, capsys):
+    content = content_of(copy)
+    del content["files"]["renders/light_map.exr"]
+    (copy / "proof.json").write_text(json.dumps(content))
+    assert "renders/light_map.exr: has no sha256 in proof.json" in refusal(capsys, copy)
+
+
+def test_link_out_of_the_folder_is_refused(copy, capsys, tmp_path):
+    shutil.move(copy / "capture.usda", tmp_path / "capture.usda")
+    (copy / "capture.usda").symlink_to(tmp_path / "capture.usda")
+    assert "is a link out of the proof's folder" in refusal(capsys, copy)
+
+
 @pytest.mark.parametrize("name", ["../other.exr", "/etc/passwd", "a/../../b.exr", "C:\\x.exr", ""])
 def test_files_outside_the_folder_are_refused(copy, capsys, name):
     content = content_of(copy)

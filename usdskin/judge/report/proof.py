@@ -79,7 +79,12 @@ class Proof:
                 f"{path}: is missing, and {self.folder / PROOF_NAME} names it; prove again"
             )
         recorded = self.files.get(name)
-        if recorded is not None and name not in self.checked:
+        if recorded is None:
+            raise ProofError(
+                f"{path}: has no sha256 in {PROOF_NAME}, so nobody can tell whether it is the file "
+                "of the proof; prove again"
+            )
+        if name not in self.checked:
             if sha256(path) != recorded.sha256:
                 raise ProofError(
                     f"{path}: has changed since the proof was made, its sha256 is another than in "
