@@ -449,6 +449,19 @@ def test_pictures_without_colors_are_refused(tmp_path):
     _refused(ImageError, "no such file", truth, tmp_path / "none.exr")
 
 
+def test_spectra_that_are_no_radiances_are_refused(tmp_path):
+    truth, _ = grey(tmp_path, 1.0)
+    rgb = np.ones((HEIGHT, WIDTH, 3), np.float32)
+    chart, laser = tmp_path / "chart.spectral.exr", tmp_path / "laser.spectral.exr"
+    write_spectral_exr(chart, GRID, surfaces().astype(np.float32), rgb, layer="T")
+    write_spectral_exr(laser, GRID[30:31], rgb[..., :1], rgb, "relative")
+    _refused(ImageError, r"reflectances \(channels T\.\), not radiances", truth, chart)
+    _refused(ImageError, "one band is no spectrum", truth, laser)
+    png = tmp_path / "shown.png"
+    write_png(png, np.full((HEIGHT, WIDTH, 3), 99, np.uint8))
+    _refused(ImageError, "write it in a linear space", truth, png)
+
+
 def test_pixels_that_are_not_finite_are_refused_within_the_mask_alone(tmp_path):
     truth, found = grey(tmp_path, 1.0)
     xyz = np.broadcast_to(0.3 * WHITE, (HEIGHT, WIDTH, 3)).copy()
@@ -605,6 +618,9 @@ def test_command_prints_one_object_for_programs(tmp_path, capsys):
         (["-o", "maps.jpg"], 2, "give a folder, or a name that ends in .exr or .png"),
         (["--mask", "nowhere.png"], 3, "nowhere.png: cannot read; no such file"),
         (["--mask", "luminance:many"], 2, "a number from 0 on"),
+        (["--mask", "luminance:"], 2, "a number from 0 on"),
+        (["--mask", ""], 2, "give alpha, all, luminance:SHARE or the name of a picture"),
+        (["--ppd", "nan"], 2, "1 to 500 pixels per degree"),
     ],
 )
 def test_wrong_options_are_told_in_one_line(tmp_path, capsys, arguments, code, message):

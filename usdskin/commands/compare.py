@@ -76,7 +76,7 @@ def _bars(value: str) -> dict[str, float]:
 @click.option(
     "--ppd",
     "pixels_per_degree",
-    type=click.FloatRange(min=1.0),
+    type=float,
     default=67.0,
     show_default=True,
     help="Pixels per degree of visual angle, for FLIP.",

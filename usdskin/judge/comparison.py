@@ -46,6 +46,9 @@ from usdskin.notes import Note
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+MOST_PIXELS_PER_DEGREE = 500.0
+"""Beyond it FLIP's filters would be wider than most pictures; the eye resolves 60."""
+
 _DISPLAY = "lin_rec709_scene"
 
 
@@ -170,6 +173,11 @@ def compare_pictures(
         UsageError: The observer or the white cannot be had from these files.
     """
     given = options or CompareOptions()
+    if not 1.0 <= given.pixels_per_degree <= MOST_PIXELS_PER_DEGREE:
+        raise UsageError(
+            f"--ppd {given.pixels_per_degree:g}: a display has 1 to {MOST_PIXELS_PER_DEGREE:g} "
+            "pixels per degree."
+        )
     notes: list[Note] = []
     first, second = open_picture(Path(truth)), open_picture(Path(picture))
     if first.size != second.size:

@@ -147,17 +147,30 @@ def open_picture(path: Path) -> ComparedPicture:
         other = path.with_name(name)
         beside = other.is_file() and other != path and path.name.endswith(SPECTRAL_SUFFIX)
         beauty = PictureFile(other, read_headers(other)) if beside else named
-        return _same_size(ComparedPicture(path, beauty, named))
+        return _checked(ComparedPicture(path, beauty, named))
     other = path.with_name(path.name.removesuffix(".exr") + SPECTRAL_SUFFIX)
     spectral = None
     if other.is_file():
         spectral = PictureFile(other, read_headers(other))
         if spectral.spectral_part is None:
             raise ImageError(f"{other}: no spectral channels; write it anew or remove it.")
-    return _same_size(ComparedPicture(path, named, spectral))
+    return _checked(ComparedPicture(path, named, spectral))
 
 
-def _same_size(picture: ComparedPicture) -> ComparedPicture:
+def _checked(picture: ComparedPicture) -> ComparedPicture:
+    """Return the picture if its files fit together and its spectra are radiances of some bands."""
+    if picture.spectral is not None:
+        header = picture.spectral.parts[picture.spectral.spectral_part or 0]
+        bands = spectral_channels(header.channel_names)
+        if bands[0][1].startswith("T."):
+            raise ImageError(
+                f"{picture.spectral.path}: reflectances (channels T.), not radiances (S0.); light "
+                "them, that is render with them, and compare the pictures."
+            )
+        if len(bands) < 2:
+            raise ImageError(
+                f"{picture.spectral.path}: one band is no spectrum; render with more wavelengths."
+            )
     sizes = {
         (file.path.name, part.width, part.height)
         for file in (picture.beauty, picture.spectral)

@@ -30,6 +30,8 @@ FULL_COVERAGE = 0.999
 ID_PARTS = ("primId", "crypto_object", "crypto_material")
 """Parts that tell what a pixel shows, in the order in which names are looked for."""
 
+_LUMINANCE = "luminance:"
+
 NO_ID = "(none)"
 """Region of the pixels that show nothing with a name."""
 
@@ -214,7 +216,9 @@ def judged_pixels(
     width, height = first.size
     mask = np.ones((height, width), dtype=bool)
     said: list[str] = []
-    rules = [rule for rule in masks if not rule.startswith("luminance:")]
+    rules = [rule for rule in masks if not rule.startswith(_LUMINANCE)]
+    if "" in rules:
+        raise UsageError("--mask: give alpha, all, luminance:SHARE or the name of a picture.")
     if not rules:
         rules = ["alpha"] if covered(first, second) is not None else ["all"]
         if rules == ["all"] and not (masks or select):
@@ -259,9 +263,9 @@ def bright_pixels(
         UsageError: A share is no number.
     """
     for rule in masks:
-        kind, _, number = rule.partition(":")
-        if kind != "luminance" or not number:
+        if not rule.startswith(_LUMINANCE):
             continue
+        number = rule.removeprefix(_LUMINANCE)
         try:
             share = float(number)
         except ValueError:
