@@ -18,7 +18,7 @@ import pytest
 
 from usdskin.cli import main
 from usdskin.images import read_image
-from usdskin.judge.report.charts import nice_ticks
+from usdskin.judge.report.charts import nice_ticks, spread_bar
 from usdskin.judge.report.markup import Markup, element, json_block
 from usdskin.judge.report.pixels import pack, quantized_delta
 from usdskin.judge.report.shown import number
@@ -145,6 +145,12 @@ def test_numbers_have_fixed_digits_and_no_minus_before_zero():
 def test_ticks_are_round_and_inside():
     assert nice_ticks(0.0, 1.04) == [0.0, 0.5, 1.0]
     assert nice_ticks(400.0, 700.0, 3) == [400.0, 500.0, 600.0, 700.0]
+
+
+def test_bars_that_would_dwarf_the_others_are_cut_and_seen_to_be():
+    assert 'class="cut"' in spread_bar(20.0, 30.0, 2.0)
+    assert 'class="cut"' not in spread_bar(1.0, 30.0, 2.0)
+    assert 'width="50"' in spread_bar(1.0, 2.0, 2.0)
 
 
 # --- Pixels ------------------------------------------------------------------------------------

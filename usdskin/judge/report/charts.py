@@ -182,16 +182,19 @@ def spread_bar(mean: float | None, p95: float | None, top: float) -> Markup:
     Args:
         mean: Length of the bar.
         p95: Where the line ends.
-        top: Value at the right end, the same for all bars that stand together.
+        top: Value at the right end, the same for all bars that stand together; longer ones are
+            cut, and are seen to be.
     """
-    parts = []
-    reach = 100.0 * (mean or 0.0) / top
+    reach = min(100.0 * (mean or 0.0) / top, 100.0)
+    parts = [element("rect", x=0, y=0, width=max(reach, 0.3), height=10, class_="bar")]
     if p95 is not None:
-        end = 100.0 * p95 / top
+        end = min(100.0 * p95 / top, 100.0)
         parts.append(element("line", x1=min(reach, end), x2=max(reach, end), y1=5, y2=5,
                              class_="reach"))  # fmt: skip
-        parts.append(element("line", x1=end, x2=end, y1=1, y2=9, class_="reach"))
-    parts.insert(0, element("rect", x=0, y=0, width=max(reach, 0.3), height=10, class_="bar"))
+        if p95 <= top:
+            parts.append(element("line", x1=end, x2=end, y1=1, y2=9, class_="reach"))
+    if (mean or 0.0) > top:
+        parts += [element("line", x1=at, x2=at + 1, y1=10, y2=0, class_="cut") for at in (93, 95)]
     return element("svg", *parts, viewBox="0 0 100 10", preserveAspectRatio="none",
                    aria_hidden="true", class_="plot spread")  # fmt: skip
 

@@ -240,12 +240,19 @@ def _patch_list(proof: Proof) -> Markup | None:
 
 
 def _top(spreads: Sequence[Spread]) -> float:
+    """Return where bars end: at the largest, unless a few would dwarf all the others."""
     values = [value for spread in spreads for value in (spread.mean, spread.p95) if value]
-    return max(values, default=1.0) * 1.01
+    if not values:
+        return 1.0
+    most = 4.0 * float(np.quantile(values, 0.75))
+    return min(max(values), most) * 1.01
 
 
 def _bar_heads(spreads: Sequence[Spread]) -> list[tuple[Child, bool]]:
-    scale = f"ΔE₀₀, 0 to {number(_top(spreads) / 1.01)}: mean, and line to p95"
+    top = _top(spreads)
+    scale = f"ΔE₀₀, 0 to {number(top / 1.01)}: mean, and line to p95"
+    if any(value > top for spread in spreads for value in (spread.mean, spread.p95) if value):
+        scale += "; longer ones are cut"
     return [(element("span", scale, class_="scale"), False), ("mean", True), ("p95", True)]
 
 

@@ -46,14 +46,37 @@ async function pixelAt(view, name, x, y) {
   return found;
 }
 
+/** Returns the nearest kept pixel that was judged, if there is one beside this one. */
+function nearestKept(packed, truth, x, y) {
+  const middleX = Math.round((x - packed.x) / packed.stride);
+  const middleY = Math.round((y - packed.y) / packed.stride);
+  let best = null;
+  for (let row = middleY - 2; row <= middleY + 2; row += 1) {
+    for (let column = middleX - 2; column <= middleX + 2; column += 1) {
+      const isThere = row >= 0 && column >= 0 && row < packed.rows && column < packed.columns;
+      if (isThere && truth[row * packed.columns + column] !== 0) {
+        const far = Math.hypot(packed.x + column * packed.stride - x,
+          packed.y + row * packed.stride - y);
+        if (!best || far < best.far) {
+          best = { row, column, far };
+        }
+      }
+    }
+  }
+  return best;
+}
+
 async function spectraAt(view, name, x, y) {
   const packed = view.spectra;
   if (!packed || !packed.planes[name]) {
     return null;
   }
-  const nearest = (value, begin, count) =>
-    Math.min(count - 1, Math.max(0, Math.round((value - begin) / packed.stride)));
-  const column = nearest(x, packed.x, packed.columns), row = nearest(y, packed.y, packed.rows);
+  const truth = await planes(packed.planes.truth, packed.columns, true);
+  const nearest = nearestKept(packed, truth, x, y);
+  if (!nearest) {
+    return null;
+  }
+  const { row, column } = nearest;
   const spectra = [];
   for (const which of ["truth", name]) {
     const weights = await planes(packed.planes[which], packed.columns, true);
