@@ -154,8 +154,7 @@ class _Eye:
         self._planes = model.surfaces.planes()
         self._normals = model.surfaces.normal
         self._spectra = {name: model.sources.spectra_of(name) for name in solutions}
-        counts = [len(u) * len(v) for u, v in model.nodes.cuts]
-        self._first = np.concatenate([[0], np.cumsum(counts)])
+        self._first = model.nodes.first
 
     def sees(self, directions: FloatArray) -> BoolArray:
         """Return in which directions nothing stands, shape [count]."""
