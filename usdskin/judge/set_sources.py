@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from usdskin.judge import set_lamps
 from usdskin.judge.set_geometry import Blockers, candidates, is_open, is_open_towards
+from usdskin.judge.set_polygons import projected_solid_angle
 from usdskin.judge.sets import SetScene
 from usdskin.latlong import latlong_coordinates, texel_directions, texel_solid_angles
 from usdskin.render.lights import DistantLight, DomeLight, LocalLight
@@ -204,7 +205,7 @@ def _lamp_factor(
     taken = given
     if lamp.kind in ("rect", "disk"):
         corners = set_lamps.outline(lamp, points) - points[:, None]
-        taken = set_lamps.projected_solid_angle(corners, normals)
+        taken = projected_solid_angle(corners, normals)
     if len(planes) and (taken > 0.0).any():
         weight = set_lamps.target_weights(lamp, points, normal, places, facing)
         free = is_open(planes, points, places)
