@@ -18,7 +18,12 @@ from usdskin.judge import set_lamps
 from usdskin.judge.radiosity import Model, Solution, corner_nodes
 from usdskin.judge.set_geometry import coordinates, first_surfaces, is_open_towards
 from usdskin.judge.set_sources import disc_directions, look_at_sky
-from usdskin.latlong import latlong_coordinates, latlong_directions, latlong_from_world
+from usdskin.latlong import (
+    latlong_coordinates,
+    latlong_directions,
+    latlong_from_world,
+    texel_solid_angles,
+)
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -107,7 +112,10 @@ def see(
         rays = grid.rays(part)[:, 0]
         met[part] = eye.look(rays, {name: values for name, values in image.items()}, part)
     shape = (height, grid.width)
-    fine = _edges(met.reshape(shape), sum(image.values()).sum(axis=1).reshape(shape))
+    fine = _edges(
+        met.reshape(shape),
+        np.sum([values.sum(axis=1) for values in image.values()], axis=0).reshape(shape),
+    )
     if scene.skies:
         fine |= (met < 0).reshape(shape)
     again = np.flatnonzero(fine)
@@ -154,8 +162,7 @@ class _Eye:
         self._planes = model.surfaces.planes()
         self._normals = model.surfaces.normal
         self._spectra = {name: model.sources.spectra_of(name) for name in solutions}
-        counts = [len(u) * len(v) for u, v in model.nodes.cuts]
-        self._first = np.concatenate([[0], np.cumsum(counts)])
+        self._first = model.nodes.first
 
     def sees(self, directions: FloatArray) -> BoolArray:
         """Return in which directions nothing stands, shape [count]."""
@@ -239,7 +246,7 @@ def _add_lamps(model: Model, grid: _Grid, image: dict[str, FloatArray]) -> tuple
     """Put the lamps in front of what is behind them."""
     scene = model.scene
     size = grid.height * grid.width
-    covers = [np.zeros(size) for _ in scene.lamps]
+    covers, behind = [np.zeros(size) for _ in scene.lamps], np.ones(size)
     if not scene.lamps:
         return ()
     origin = scene.capture_point
@@ -267,16 +274,30 @@ def _add_lamps(model: Model, grid: _Grid, image: dict[str, FloatArray]) -> tuple
         _, wall = first_surfaces(planes, origin, rays[lit])
         hidden = wall < nearest[lit] * (1.0 - 1e-9)
         which[lit[hidden]] = -1
-        which = which.reshape(len(part), -1)
-        bright = shines.reshape(which.shape)
-        free = (which < 0).mean(axis=1)
-        for values in image.values():
-            values[part] *= free[:, None]
-        for number, lamp in enumerate(scene.lamps):
-            cover = ((which == number) & bright).mean(axis=1)
-            covers[number][part] = cover
-            image[scene.class_of[lamp.path]][part] += cover[:, None] * lamp.radiance[0]
+        owner = which.reshape(len(part), -1)
+        is_bright = shines.reshape(owner.shape)
+        free = (owner < 0).mean(axis=1)
+        behind[part] = free
+        for number in range(len(scene.lamps)):
+            covers[number][part] = ((owner == number) & is_bright).mean(axis=1)
+    areas = np.repeat(texel_solid_angles(grid.height, grid.width), grid.width)
+    for cover, lamp in zip(covers, scene.lamps, strict=True):
+        _settle(cover, areas, set_lamps.solid_angle(lamp, origin))
+    for values in image.values():
+        values *= behind[:, None]
+    for cover, lamp in zip(covers, scene.lamps, strict=True):
+        lit = np.flatnonzero(cover)
+        image[scene.class_of[lamp.path]][lit] += cover[lit, None] * lamp.radiance[0]
     return tuple(cover.reshape(grid.height, grid.width) for cover in covers)
+
+
+def _settle(cover: FloatArray, areas: FloatArray, true: float) -> None:
+    """Give a lamp in full sight the solid angle it has: counting rays errs by less than 0.5 %."""
+    found = float(cover @ areas)
+    edge = (cover > 0.0) & (cover < 1.0)
+    at_edge = float(cover[edge] @ areas[edge])
+    if at_edge > 0.0 and abs(found - true) < 5e-3 * true:
+        cover[edge] *= 1.0 + (true - found) / at_edge
 
 
 def _mark(marked: BoolArray, grid: _Grid, corners: FloatArray) -> None:
