@@ -29,6 +29,7 @@ from usdskin.commands import (
     photograph_skin,
     pictures,
     plot,
+    solve,
     system,
 )
 from usdskin.commands.options import StepCommand, global_options, with_paragraph_marks
@@ -88,6 +89,7 @@ def cli() -> None:
 
 for _command in (
     *files.MAKING,
+    *solve.COMMANDS,
     *photograph.COMMANDS,
     *photograph_skin.COMMANDS,
     *ingest.COMMANDS,

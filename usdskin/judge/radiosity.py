@@ -1,0 +1,352 @@
+"""Radiosity of a set in float64: light between its surfaces, wavelength by wavelength.
+
+With rho the reflectance, D the direct irradiance and F the form factors between cells,
+``B = rho (D + F B)``. F holds no wavelength, so it is found once: by Lambert's formula for the
+polygons that cells are, at 2 x 2 Gauss points of the receiving cell, times the share of rays that
+arrive; then made reciprocal, and in a closed room scaled so that no light is lost or made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usdskin.judge.set_cells import Cells, Cutting, cut_cells
+from usdskin.judge.set_geometry import Blockers, candidates, coordinates, first_surfaces, is_open
+from usdskin.judge.set_polygons import clip_above, projected_in_plane
+from usdskin.judge.set_sources import Sources, make_sources
+from usdskin.judge.sets import SetScene
+from usdskin.latlong import texel_directions
+
+FloatArray = NDArray[np.float64]
+
+_GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
+_CHUNK = 1 << 19
+_INSET = 0.01
+"""How far a corner of a cell is moved inwards where it is at the surface's edge, in cells."""
+_NODES = 3
+"""Corners that light is gathered at, over the count of cells."""
+_EDGE = 0.2
+"""Their distance at the edges of surfaces, where light changes fastest, over that elsewhere."""
+_TOLERANCE = 1e-9
+_MOST_BOUNCES = 5000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """A set made ready: what stops light, what shines, the cells."""
+
+    scene: SetScene
+    blockers: Blockers
+    """The surfaces, then the rectangular lamps."""
+
+    surface_count: int
+    sources: Sources
+    cells: Cells
+
+    nodes: Cells
+    """Whose corners light is gathered at; only what is in sight is cut finely."""
+
+    polygons: FloatArray
+    """Corners of the cells [m], shape [cell_count, 4, 3]."""
+
+    area: FloatArray
+    """Of the cells [m^2], shape [cell_count]."""
+
+    @property
+    def surfaces(self) -> Blockers:
+        """What reflects."""
+        return _first(self.blockers, self.surface_count)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Balance:
+    """Where the light of a class goes, added up over wavelength [W m^-2 nm^-1 x m^2 x nm]."""
+
+    emitted: FloatArray
+    """Flux that lamps with a place emit, shape [band_count]."""
+
+    absorbed: FloatArray
+    """Flux that surfaces and lamps absorb, shape [band_count]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """The light of one class."""
+
+    radiosity: FloatArray
+    """Of the cells [W m^-2 nm^-1], shape [cell_count, band_count]."""
+
+    gathered: FloatArray
+    """Irradiance by way of other surfaces at the corners of the cells, in the order of
+    ``corner_points`` [W m^-2 nm^-1], shape [corner_count, band_count]."""
+
+    balance: Balance
+
+
+def make_model(scene: SetScene, cell_count: int) -> Model:
+    """Return a set made ready.
+
+    Args:
+        scene: The set.
+        cell_count: How many cells its surfaces are cut into, at most (about).
+    """
+    surfaces = scene.surfaces
+    lamps = tuple(
+        # Light that is flush with a wall is before it.
+        replace(lamp, center=lamp.center - 1e-4 * lamp.axes[2]) if lamp.kind == "rect" else lamp
+        for lamp in scene.lamps
+    )
+    rects = [lamp for lamp in lamps if lamp.kind == "rect"]
+    corner = [lamp.center - lamp.half[0] * lamp.axes[0] - lamp.half[1] * lamp.axes[1]
+              for lamp in rects]  # fmt: skip
+    along = [2.0 * lamp.half[0] * lamp.axes[0] for lamp in rects]
+    across = [2.0 * lamp.half[1] * lamp.axes[1] for lamp in rects]
+    plain = Blockers(surfaces.corner, surfaces.along, surfaces.across)
+    blockers = Blockers(
+        np.concatenate([surfaces.corner, np.reshape(corner, (-1, 3))]),
+        np.concatenate([surfaces.along, np.reshape(along, (-1, 3))]),
+        np.concatenate([surfaces.across, np.reshape(across, (-1, 3))]),
+    )
+    count = len(plain.corner)
+    everywhere = Cutting(scene.capture_point, np.ones(count, bool))
+    cells = cut_cells(plain, cell_count, everywhere)
+    in_sight = Cutting(scene.capture_point, _in_sight(plain, scene.capture_point), _EDGE)
+    nodes = cut_cells(plain, _NODES * cell_count, in_sight)
+    polygons = np.concatenate([_polygons(plain, cells, k) for k in range(len(plain.corner))])
+    edges = np.cross(polygons[:, 1] - polygons[:, 0], polygons[:, 3] - polygons[:, 0])
+    scene = replace(scene, lamps=lamps)
+    return Model(
+        scene=scene,
+        blockers=blockers,
+        surface_count=len(surfaces.corner),
+        sources=make_sources(scene, blockers),
+        cells=cells,
+        nodes=nodes,
+        polygons=polygons,
+        area=np.linalg.norm(edges, axis=1),
+    )
+
+
+def _in_sight(surfaces: Blockers, point: FloatArray) -> NDArray[np.bool_]:
+    """Return which surfaces a point sees anything of, shape [count]."""
+    rays = texel_directions(90, 180).reshape(-1, 3)
+    met, _ = first_surfaces(surfaces.planes(), point, rays)
+    return np.asarray(np.bincount(met[met >= 0], minlength=len(surfaces.corner)) > 0)
+
+
+def _first(blockers: Blockers, count: int) -> Blockers:
+    return Blockers(blockers.corner[:count], blockers.along[:count], blockers.across[:count])
+
+
+def place(blockers: Blockers, index: int, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Return points of a surface [m], shape [count, 3]."""
+    along, across = np.outer(u, blockers.along[index]), np.outer(v, blockers.across[index])
+    return np.asarray(blockers.corner[index] + along + across)
+
+
+def _polygons(blockers: Blockers, cells: Cells, index: int) -> FloatArray:
+    u0, u1, v0, v1 = cells.spans(index).T
+    ends = [(u0, v0), (u1, v0), (u1, v1), (u0, v1)]
+    return np.stack([place(blockers, index, u, v) for u, v in ends], axis=1)
+
+
+def _samples(model: Model, index: int, at: FloatArray) -> FloatArray:
+    """Return a grid of points of every cell of a surface [m], shape [cells * n * n, 3]."""
+    u0, u1, v0, v1 = (part[:, None, None] for part in model.cells.spans(index).T)
+    u, v = np.broadcast_arrays(u0 + (u1 - u0) * at[:, None], v0 + (v1 - v0) * at[None])
+    return place(model.blockers, index, u.ravel(), v.ravel())
+
+
+def gather(model: Model, index: int, points: FloatArray) -> FloatArray:
+    """Return the form factors from points of a surface to all cells, shape [points, cells].
+
+    Args:
+        model: The set.
+        index: The surface.
+        points: On it [m], shape [point_count, 3].
+    """
+    blockers, cells = model.blockers, model.cells
+    normal = blockers.normal[index]
+    x = blockers.along[index] / np.linalg.norm(blockers.along[index])
+    frame = np.stack([x, np.cross(normal, x), normal])
+    local = (points - blockers.corner[index]) @ frame.T
+    result = np.zeros((len(points), cells.count))
+    planes = blockers.planes()
+    for other in range(model.surface_count):
+        part = slice(int(cells.first[other]), int(cells.first[other + 1]))
+        polygons = (model.polygons[part] - blockers.corner[index]) @ frame.T
+        behind = ((points - blockers.corner[other]) @ blockers.normal[other]).max() <= 1e-9
+        if other == index or behind or polygons[..., 2].max() <= 1e-9:
+            continue
+        clipped = clip_above(polygons)
+        steps = max(1, _CHUNK // len(polygons))
+        for begin in range(0, len(points), steps):
+            rows = slice(begin, begin + steps)
+            factor = projected_in_plane(local[rows, :2], clipped) / np.pi
+            result[rows, part] = np.maximum(factor, 0.0)
+        which = candidates(blockers, blockers.corners[index], blockers.corners[other])
+        which = which[(which != index) & (which != other)]
+        if which.size:
+            targets = _samples(model, other, _GAUSS)
+            steps = max(1, _CHUNK // len(targets))
+            for begin in range(0, len(points), steps):
+                rows = slice(begin, begin + steps)
+                free = is_open(planes[which], points[rows], targets)
+                result[rows, part] *= free.reshape(len(free), -1, 4).mean(axis=2)
+    return result
+
+
+def solve(
+    model: Model, advance: Callable[[int], None] | None = None
+) -> tuple[dict[str, Solution], bool]:
+    """Return the light of every class, and whether the set is closed.
+
+    Args:
+        model: The set.
+        advance: Told how many surfaces are done; twice as many as there are.
+    """
+    tell = advance or (lambda _count: None)
+    cells, count = model.cells, model.cells.count
+    factors, shares = np.zeros((count, count)), np.zeros(count)
+    direct = np.zeros((count, model.sources.count))
+    middles = model.polygons.mean(axis=1)
+    is_covered = covered(model.surfaces, middles, cells.surface)
+    is_closed = model.sources.is_closed(
+        model.surfaces, middles[~is_covered], cells.surface[~is_covered]
+    )
+    for index in range(model.surface_count):
+        part = slice(int(cells.first[index]), int(cells.first[index + 1]))
+        points = _samples(model, index, _GAUSS)
+        rows = gather(model, index, points)
+        factors[part] = rows.reshape(-1, 4, count).mean(axis=1)
+        direct[part], shares[part] = _direct(model, index)
+        tell(1)
+    factors[is_covered], direct[is_covered] = 0.0, 0.0
+    target = model.area * (1.0 - shares) if is_closed else None
+    factors = balanced(factors, model.area, target)
+    at_corners = _corner_factors(model, is_closed, tell)
+    result = {}
+    for name in model.scene.classes:
+        spectra = model.sources.spectra_of(name)
+        reflectance = model.scene.surfaces.reflectance[cells.surface]
+        radiosity = bounce(factors, reflectance, direct @ spectra)
+        arriving = direct @ spectra + factors @ radiosity
+        absorbed = model.area @ ((1.0 - reflectance) * arriving)
+        absorbed += (model.area * shares) @ radiosity
+        balance = Balance(model.sources.emitted(name), absorbed)
+        result[name] = Solution(radiosity, at_corners @ radiosity, balance)
+    return result, is_closed
+
+
+def covered(
+    surfaces: Blockers, middles: FloatArray, surface: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Return which cells another surface lies flat upon, face to face.
+
+    Args:
+        surfaces: What reflects.
+        middles: Of the cells [m], shape [cell_count, 3].
+        surface: Of each cell, shape [cell_count].
+    """
+    result = np.zeros(len(middles), bool)
+    normal = surfaces.normal
+    for index, plane in enumerate(surfaces.planes()):
+        height, u, v = coordinates(plane, middles)
+        within = (abs(height) < 1e-4) & (abs(u - 0.5) < 0.5) & (abs(v - 0.5) < 0.5)
+        result |= within & (normal[surface] @ normal[index] < -0.999)
+    return result
+
+
+def balanced(factors: FloatArray, area: FloatArray, target: FloatArray | None) -> FloatArray:
+    """Return form factors that are reciprocal, and whose rows add up to what they must.
+
+    Args:
+        factors: F from row to column, shape [cells, cells].
+        area: Of the cells [m^2], shape [cells].
+        target: A times the sum of each row, where it is known, shape [cells].
+    """
+    exchange = area[:, None] * factors
+    exchange = 0.5 * (exchange + exchange.T)
+    if target is not None:
+        scale = np.ones(len(area))
+        buried = exchange.sum(axis=1) <= 1e-6 * area
+        for _ in range(200):
+            rows = scale * (exchange @ scale)
+            wrong = np.where(buried, 1.0, target / np.where(buried, 1.0, rows))
+            scale *= np.sqrt(wrong)
+            if np.abs(wrong - 1.0).max() < 1e-12:
+                break
+        exchange *= scale[:, None]
+        exchange *= scale[None]
+    exchange /= area[:, None]
+    return exchange
+
+
+def bounce(factors: FloatArray, reflectance: FloatArray, direct: FloatArray) -> FloatArray:
+    """Return the radiosity B = rho (D + F B) by following the light until it is gone.
+
+    Args:
+        factors: F, shape [cells, cells].
+        reflectance: rho, shape [cells, band_count].
+        direct: D, shape [cells, band_count].
+    """
+    part = reflectance * direct
+    total = part.copy()
+    for _ in range(_MOST_BOUNCES):
+        part = reflectance * (factors @ part)
+        total += part
+        if np.abs(part).max() <= _TOLERANCE * np.abs(total).max():
+            # What is left falls off evenly: add the rest of the series.
+            return total
+    return total
+
+
+def _direct(model: Model, index: int) -> tuple[FloatArray, FloatArray]:
+    """Return direct light averaged over a surface's cells, and what lamps take of their view."""
+    size = np.sqrt(model.area[model.cells.first[index] : model.cells.first[index + 1]])
+    middles = _samples(model, index, np.array([0.5]))
+    near = model.sources.distance(middles)
+    count = int(np.clip(np.ceil(3.0 * (size / np.maximum(near, 1e-3)).max()), 2, 8))
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    points = _samples(model, index, 0.5 + 0.5 * nodes)
+    factor, share = model.sources.factors(model.blockers, index, points)
+    weight = (weights[:, None] * weights[None]).ravel() / 4.0
+    average = np.einsum("cks,k->cs", factor.reshape(len(middles), -1, factor.shape[1]), weight)
+    return average, share.reshape(len(middles), -1) @ weight
+
+
+# --- Corners -----------------------------------------------------------------------------------
+
+
+def corner_nodes(cuts: FloatArray) -> FloatArray:
+    """Return where light is gathered along an edge: at the cuts, a little inside at the ends."""
+    nodes = cuts.copy()
+    nodes[0] += _INSET * (cuts[1] - cuts[0])
+    nodes[-1] -= _INSET * (cuts[-1] - cuts[-2])
+    return nodes
+
+
+def corner_points(model: Model, index: int) -> FloatArray:
+    """Return where light is gathered on a surface [m], shape [count, 3], rows of u."""
+    u, v = (corner_nodes(cuts) for cuts in model.nodes.cuts[index])
+    both = np.meshgrid(u, v, indexing="ij")
+    return place(model.blockers, index, both[0].ravel(), both[1].ravel())
+
+
+def _corner_factors(model: Model, is_closed: bool, tell: Callable[[int], None]) -> FloatArray:
+    blocks = []
+    for index in range(model.surface_count):
+        points = corner_points(model, index)
+        rows = gather(model, index, points)
+        total = rows.sum(axis=1)
+        if is_closed:
+            _, share = model.sources.factors(model.blockers, index, points)
+            scale = (1.0 - share) / np.where(total > 1e-6, total, 1.0)
+            rows *= np.where(total > 1e-6, scale, 0.0)[:, None]
+        blocks.append(rows)
+        tell(1)
+    return np.concatenate(blocks)
