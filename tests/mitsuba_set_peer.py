@@ -7,7 +7,7 @@ job: ``corner``, ``along``, ``across`` [q, 3] and ``reflectance`` [q, bands] of 
 parallelograms; ``lamp_kind`` [k], ``lamp_center`` [k, 3], ``lamp_axes`` [k, 3, 3], ``lamp_half``
 [k, 2] and ``lamp_radiance`` [k, bands]; ``sky`` [bands], even, or absent; ``sun_direction``,
 ``sun_angle_deg`` and ``sun_irradiance`` [bands], or absent; ``origin`` [3], ``height``,
-``samples`` (rays per texel), ``depth``.
+``samples`` (rays per texel), ``groups`` that they come in, ``depth``.
 """
 
 from __future__ import annotations
@@ -82,29 +82,30 @@ def directions(height: int, samples: int, random: NDArray) -> NDArray:
 
 
 def render(job: Job) -> NDArray:
-    """Return the panorama, shape [height, 2 height, bands]."""
+    """Return panoramas, each with rays of its own, shape [groups, height, 2 height, bands]."""
     mi.set_variant("llvm_ad_rgb")
     height, samples = int(job["height"]), int(job["samples"])
     depth = int(job["depth"])
     path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": depth})
     count = job["reflectance"].shape[1]
-    result = np.zeros((height * 2 * height, count))
+    groups = int(job["groups"])
+    result = np.zeros((groups, height * 2 * height, count))
     for begin in range(0, count, 3):
         bands = slice(begin, min(begin + 3, count))
         built = scene(job, bands)
         generator = np.random.default_rng(begin)
-        passes = max(1, samples // 64)
-        for number in range(passes):
-            per = samples // passes
+        per = 64
+        passes = max(1, samples // (per * groups))
+        for number in range(passes * groups):
             random = generator.random((2, height * 2 * height * per))
             ways = directions(height, per, random).astype(np.float32)
             sampler = mi.load_dict({"type": "independent"})
-            sampler.seed(1000 * begin + number, ways.shape[1])
+            sampler.seed(10000 * begin + number, ways.shape[1])
             rays = mi.Ray3f(mi.Point3f(*job["origin"].tolist()), mi.Vector3f(*ways))
             value, _, _ = path.sample(built, sampler, mi.RayDifferential3f(rays))
             seen = np.array(value).T.reshape(-1, per, 3).mean(axis=1)
-            result[:, bands] += seen[:, : bands.stop - begin] / passes
-    return result.reshape(height, 2 * height, count)
+            result[number % groups, :, bands] += seen[:, : bands.stop - begin] / passes
+    return result.reshape(groups, height, 2 * height, count)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 _ROUND = 48
 """Corners that stand for a circle; its polygon has the circle's area."""
-_ARC = 10
+_ARC = 12
 """Edges that stand for each end of a cylinder."""
 
 
@@ -111,6 +111,9 @@ def _cylinder_outline(lamp: LocalLight, points: FloatArray) -> FloatArray:
     spread = np.arccos(np.minimum(radius / np.maximum(away, 1e-12), 1.0))
     turn = middle[:, None] + np.linspace(-1.0, 1.0, _ARC + 1) * spread[:, None]
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1) * radius
+    # The polygon has the arc's area, as that of ``_circle`` has.
+    step = 2.0 * spread[:, None, None] / _ARC
+    ring[:, 1:-1] /= np.sqrt(np.sinc(step / np.pi))
     ends = np.full((*turn.shape, 1), half)
     near = np.concatenate([ends, ring], axis=-1)
     far = np.concatenate([-ends, ring], axis=-1)[:, ::-1]

@@ -107,7 +107,10 @@ def see(
         rays = grid.rays(part)[:, 0]
         met[part] = eye.look(rays, {name: values for name, values in image.items()}, part)
     shape = (height, grid.width)
-    fine = _edges(met.reshape(shape), sum(image.values()).sum(axis=1).reshape(shape))
+    fine = _edges(
+        met.reshape(shape),
+        np.sum([values.sum(axis=1) for values in image.values()], axis=0).reshape(shape),
+    )
     if scene.skies:
         fine |= (met < 0).reshape(shape)
     again = np.flatnonzero(fine)
@@ -154,8 +157,7 @@ class _Eye:
         self._planes = model.surfaces.planes()
         self._normals = model.surfaces.normal
         self._spectra = {name: model.sources.spectra_of(name) for name in solutions}
-        counts = [len(u) * len(v) for u, v in model.nodes.cuts]
-        self._first = np.concatenate([[0], np.cumsum(counts)])
+        self._first = model.nodes.first
 
     def sees(self, directions: FloatArray) -> BoolArray:
         """Return in which directions nothing stands, shape [count]."""
@@ -267,13 +269,13 @@ def _add_lamps(model: Model, grid: _Grid, image: dict[str, FloatArray]) -> tuple
         _, wall = first_surfaces(planes, origin, rays[lit])
         hidden = wall < nearest[lit] * (1.0 - 1e-9)
         which[lit[hidden]] = -1
-        which = which.reshape(len(part), -1)
-        bright = shines.reshape(which.shape)
-        free = (which < 0).mean(axis=1)
+        owner = which.reshape(len(part), -1)
+        is_bright = shines.reshape(owner.shape)
+        free = (owner < 0).mean(axis=1)
         for values in image.values():
             values[part] *= free[:, None]
         for number, lamp in enumerate(scene.lamps):
-            cover = ((which == number) & bright).mean(axis=1)
+            cover = ((owner == number) & is_bright).mean(axis=1)
             covers[number][part] = cover
             image[scene.class_of[lamp.path]][part] += cover[:, None] * lamp.radiance[0]
     return tuple(cover.reshape(grid.height, grid.width) for cover in covers)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from usdskin.judge import set_lamps
 from usdskin.judge.set_geometry import Blockers, candidates, is_open, is_open_towards
+from usdskin.judge.set_polygons import projected_solid_angle
 from usdskin.judge.sets import SetScene
 from usdskin.latlong import latlong_coordinates, texel_directions, texel_solid_angles
 from usdskin.render.lights import DistantLight, DomeLight, LocalLight
@@ -71,13 +72,23 @@ class Sources:
                 total += np.pi * set_lamps.area(lamp) * self.spectra[column]
         return total
 
-    def distance(self, points: FloatArray) -> FloatArray:
-        """Return how far the nearest lamp is, about [m], shape [count]."""
+    def distance(self, points: FloatArray, normal: FloatArray) -> FloatArray:
+        """Return how far the nearest lamp is that shines on a surface, about [m], shape [count].
+
+        Args:
+            points: On the surface [m], shape [count, 3].
+            normal: Its normal, shape [3].
+        """
         nearest = np.full(len(points), np.inf)
         for lamp in self.lamps:
-            places, _ = set_lamps.targets(lamp)
-            for spot in places:
-                np.minimum(nearest, np.linalg.norm(points - spot, axis=1), out=nearest)
+            places, facing = set_lamps.targets(lamp)
+            for index, spot in enumerate(places):
+                away = spot - points
+                length = np.linalg.norm(away, axis=1)
+                shines = away @ normal > 0.02 * length
+                if facing is not None:
+                    shines &= away @ facing[index] < -0.02 * length
+                np.minimum(nearest, np.where(shines, length, np.inf), out=nearest)
         return nearest
 
     def factors(
@@ -92,8 +103,8 @@ class Sources:
             fineness: How finely lamps are looked at.
 
         Returns:
-            Factors, shape [point_count, count]; and the share of a white sphere's light that
-            lamps would stop, shape [point_count].
+            Factors, shape [point_count, count]; and the share of their view that lamps
+            which are no blockers hide, shape [point_count].
         """
         result, share = np.zeros((len(points), self.count)), np.zeros(len(points))
         normal, planes = blockers.normal[index], blockers.planes()
@@ -109,7 +120,8 @@ class Sources:
                     lamp, points[rows], normal, places, facing, planes[which]
                 )
                 result[rows, column] += given
-                share[rows] += taken / np.pi
+                if lamp.kind != "rect":
+                    share[rows] += taken / np.pi
         self._add_far(result, blockers, index, points, planes, normal)
         return result, share
 
@@ -193,7 +205,7 @@ def _lamp_factor(
     taken = given
     if lamp.kind in ("rect", "disk"):
         corners = set_lamps.outline(lamp, points) - points[:, None]
-        taken = set_lamps.projected_solid_angle(corners, normals)
+        taken = projected_solid_angle(corners, normals)
     if len(planes) and (taken > 0.0).any():
         weight = set_lamps.target_weights(lamp, points, normal, places, facing)
         free = is_open(planes, points, places)
@@ -231,14 +243,8 @@ def look_at_sky(sky: DomeLight, directions: FloatArray) -> FloatArray:
     return np.asarray(sky.coefficients[rows, columns], np.float64)
 
 
-def make_sources(scene: SetScene, blockers: Blockers) -> Sources:
-    """Return what shines in a set.
-
-    Args:
-        scene: The set.
-        blockers: What stops light.
-    """
-    del blockers
+def make_sources(scene: SetScene) -> Sources:
+    """Return what shines in a set."""
     columns: dict[tuple[str, bytes], int] = {}
     spectra: list[FloatArray] = []
     classes: list[str] = []

@@ -146,7 +146,7 @@ def _capture_point(stage: Usd.Stage) -> FloatArray:
     point = np.array(world, np.float64) * UsdGeom.GetStageMetersPerUnit(stage)
     if not np.isfinite(point).all():
         raise LayerError(f"{describe(prim)}: its place is not finite; mend its xformOps")
-    return point
+    return np.asarray(point)
 
 
 # --- Lights ------------------------------------------------------------------------------------

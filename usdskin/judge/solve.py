@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from usdskin.errors import UsageError
 from usdskin.judge import set_lamps
 from usdskin.judge.radiosity import Model, Solution, make_model, solve
+from usdskin.judge.set_geometry import is_open
 from usdskin.judge.set_panorama import Panorama, see
 from usdskin.judge.sets import read_set
 from usdskin.judge.solve_layers import SeenLight, light_files, write_light
@@ -167,8 +168,8 @@ def solve_set(
         lamp_error=_lamp_error(model, seen, height),
         ranks=ranks,
     )
-    classes = layers or {scene.classes[0]: output}
-    return SolvedSet(output, classes, report, paths, notes, seconds)
+    by_class = layers or {scene.classes[0]: output}
+    return SolvedSet(output, by_class, report, paths, notes, seconds)
 
 
 def _check(height: int, cells: int) -> None:
@@ -218,8 +219,6 @@ def _lamp_error(model: Model, seen: Panorama, height: int) -> float:
     for lamp, cover in zip(model.scene.lamps, seen.lamp_cover, strict=True):
         true = set_lamps.solid_angle(lamp, model.scene.capture_point)
         places, _ = set_lamps.targets(lamp)
-        from usdskin.judge.set_geometry import is_open
-
         planes = model.surfaces.planes()
         if true > 0.0 and is_open(planes, model.scene.capture_point[None], places).all():
             worst = max(worst, abs(float((cover * size).sum()) / true - 1.0))

@@ -162,6 +162,7 @@ def _add_sun(stage: Usd.Stage, sun: DistantLight, share: float, wavelength_nm: F
     name = sun.path.rpartition("/")[2]
     prim = UsdLux.DistantLight.Define(stage, f"/Light/{name}")
     prim.CreateAngleAttr(float(sun.angle_deg))
+    prim.CreateIntensityAttr(1.0)  # UsdLux falls back to 50000
     # Its axis +Z points to the lamp.
     z = Gf.Vec3d(*sun.direction.tolist())
     prim.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(
@@ -175,8 +176,3 @@ def _add_sun(stage: Usd.Stage, sun: DistantLight, share: float, wavelength_nm: F
     xyz = values @ xyz_weights(wavelength_nm, absolute=True)
     color = np.clip(xyz_to_rgb(_SPACE) @ (xyz / max(xyz[1], 1e-30)), 0.0, None)
     prim.CreateColorAttr(Gf.Vec3f(*color.tolist()))
-    # For tools that know no spectra: the same illuminance.
-    half = np.radians(0.5 * sun.angle_deg)
-    area = np.pi * np.sin(half) ** 2
-    prim.CreateNormalizeAttr(False)
-    del area
