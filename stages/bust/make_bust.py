@@ -171,7 +171,9 @@ def st(faces: list[list[int]]) -> FloatArray:
         else:
             rows[0] = float(face[0] == ROWS * AROUND)
             is_top = rows[0] == 1.0
-            columns = [column + 0.5, column, column + 1] if is_top else [column + 0.5, column + 1, column]
+            columns = (
+                [column + 0.5, column, column + 1] if is_top else [column + 0.5, column + 1, column]
+            )
         result += [(c / AROUND, r) for c, r in zip(columns, rows, strict=True)]
     return np.array(result)
 
