@@ -69,11 +69,13 @@ def write_base(shot: Path, variants: Mapping[tuple[str, str], str | None], outpu
     for path in (SHOT_LIGHT, SHOT_SKIN):
         if not stage.GetPrimAtPath(path).IsDefined():
             raise LayerError(f"{shot}: has no <{path}>, which a proof replaces; see docs/proof.md")
-    for (path, name), chosen in variants.items():
-        known = stage.GetPrimAtPath(path).GetVariantSets().GetVariantSet(name).GetVariantNames()
+    for (prim_path, name), chosen in variants.items():
+        known = (
+            stage.GetPrimAtPath(prim_path).GetVariantSets().GetVariantSet(name).GetVariantNames()
+        )
         if chosen is not None and chosen not in known:
             raise LayerError(
-                f"{shot}: <{path}> has no variant {name}={chosen}; it has "
+                f"{shot}: <{prim_path}> has no variant {name}={chosen}; it has "
                 f"{', '.join(known) or 'none'}"
             )
     return output
@@ -109,8 +111,8 @@ def _over(base: Sdf.Layer, path: Path, output: Path) -> Sdf.Layer:
     for name in _OF_A_ROOT:
         if base.pseudoRoot.HasInfo(name):
             layer.pseudoRoot.SetInfo(name, base.pseudoRoot.GetInfo(name))
-    for path in (SHOT_LIGHT, SHOT_SKIN):
-        Sdf.CreatePrimInLayer(layer, path)
+    for prim_path in (SHOT_LIGHT, SHOT_SKIN):
+        Sdf.CreatePrimInLayer(layer, prim_path)
     return layer
 
 
