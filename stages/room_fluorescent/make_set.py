@@ -1,6 +1,6 @@
 """Make the office that the proof is shot in: ``python stages/room_fluorescent/make_set.py``.
 
-A room of 6.4 x 6.6 x 2.8 m with four bare fluorescent tubes (CIE FL2) below a white ceiling, a
+A room of 6.4 x 6.6 x 2.8 m with four bare fluorescent tubes (CIE FL2) hung below a white ceiling, a
 desk, a cabinet and a sofa. Reflectances of fabrics and wood paint are CIE test-colour samples
 (CIE 13.3-1995, measured Munsell papers, through colour-science), which no chart of ours contains;
 those of paint, concrete and wood are formulas in here.
@@ -37,7 +37,7 @@ LOW, HIGH = (-3.2, 0.0, -3.6), (3.2, 2.8, 3.0)
 CAPTURE_POINT = (0.2, 1.45, 0.1)
 TUBE_LUMINANCE = 9000.0  # cd m^-2, a T8 tube
 TUBE_RADIUS, TUBE_LENGTH = 0.013, 1.2
-TUBES = tuple((x, 2.70, z) for x in (-1.5, 1.6) for z in (-1.9, 1.3))
+TUBES = tuple((x, 2.45, z) for x in (-1.5, 1.6) for z in (-1.9, 1.3))
 
 BOXES: dict[str, tuple[str, tuple[tuple[Point, Point], ...]]] = {
     "desk": (

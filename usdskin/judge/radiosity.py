@@ -1,9 +1,8 @@
 """Radiosity of a set in float64: light between its surfaces, wavelength by wavelength.
 
 With rho the reflectance, D the direct irradiance and F the form factors between cells,
-``B = rho (D + F B)``. F holds no wavelength, so it is found once: by Lambert's formula for the
-polygons that cells are, at 2 x 2 Gauss points of the receiving cell, times the share of rays that
-arrive; then made reciprocal, and in a closed room scaled so that no light is lost or made.
+``B = rho (D + F B)``. F holds no wavelength, so it is found once, by rays
+(``form_factors``), and made reciprocal.
 """
 
 from __future__ import annotations
@@ -14,18 +13,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.judge.set_cells import Cells, cut_cells
-from usdskin.judge.set_geometry import Blockers, candidates, coordinates, is_open
-from usdskin.judge.set_polygons import clip_above, projected_in_plane
+from usdskin.judge.form_factors import cosine_directions, lattice, shares
+from usdskin.judge.set_cells import Cells, Cutting, Grids, cells_of, cut_grids
+from usdskin.judge.set_geometry import Blockers, coordinates, first_surfaces
 from usdskin.judge.set_sources import Sources, make_sources
 from usdskin.judge.sets import SetScene
+from usdskin.latlong import texel_directions
 
 FloatArray = NDArray[np.float64]
 
-_GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
-_CHUNK = 1 << 19
+_CELL_RAYS = (2584, 1597)
+"""Rays from a cell, a Fibonacci number and the one before it."""
+_NODE_RAYS = (4181, 2584)
+"""Rays from a corner that light is gathered at."""
+_SHIFT = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703, 0.4503599627370496)
+"""What neither repeats nor falls into step (Roberts 2018, three dimensions; and one more)."""
 _INSET = 0.01
 """How far a corner of a cell is moved inwards where it is at the surface's edge, in cells."""
+_NODES = 3
+"""Corners that light is gathered at, over the count of cells."""
+_EDGE = 0.2
+"""Their distance at the edges of surfaces, where light changes fastest, over that elsewhere."""
 _TOLERANCE = 1e-9
 _MOST_BOUNCES = 5000
 
@@ -41,6 +49,9 @@ class Model:
     surface_count: int
     sources: Sources
     cells: Cells
+
+    nodes: Grids
+    """Whose corners light is gathered at; only what is in sight is cut finely."""
 
     polygons: FloatArray
     """Corners of the cells [m], shape [cell_count, 4, 3]."""
@@ -92,6 +103,7 @@ def make_model(scene: SetScene, cell_count: int) -> Model:
         replace(lamp, center=lamp.center - 1e-4 * lamp.axes[2]) if lamp.kind == "rect" else lamp
         for lamp in scene.lamps
     )
+    scene = replace(scene, lamps=lamps)
     rects = [lamp for lamp in lamps if lamp.kind == "rect"]
     corner = [lamp.center - lamp.half[0] * lamp.axes[0] - lamp.half[1] * lamp.axes[1]
               for lamp in rects]  # fmt: skip
@@ -103,19 +115,35 @@ def make_model(scene: SetScene, cell_count: int) -> Model:
         np.concatenate([surfaces.along, np.reshape(along, (-1, 3))]),
         np.concatenate([surfaces.across, np.reshape(across, (-1, 3))]),
     )
-    cells = cut_cells(plain, cell_count, scene.capture_point)
+    count = len(plain.corner)
+    everywhere = Cutting(scene.capture_point, np.ones(count, bool))
+    sources = make_sources(scene)
+    cells = cells_of(
+        plain,
+        cut_grids(plain, cell_count, everywhere),
+        lambda index, points: sources.distance(points, plain.normal[index]),
+    )
+    in_sight = Cutting(scene.capture_point, _in_sight(plain, scene.capture_point), _EDGE)
+    nodes = cut_grids(plain, _NODES * cell_count, in_sight)
     polygons = np.concatenate([_polygons(plain, cells, k) for k in range(len(plain.corner))])
     edges = np.cross(polygons[:, 1] - polygons[:, 0], polygons[:, 3] - polygons[:, 0])
-    scene = replace(scene, lamps=lamps)
     return Model(
         scene=scene,
         blockers=blockers,
         surface_count=len(surfaces.corner),
-        sources=make_sources(scene, blockers),
+        sources=sources,
         cells=cells,
+        nodes=nodes,
         polygons=polygons,
         area=np.linalg.norm(edges, axis=1),
     )
+
+
+def _in_sight(surfaces: Blockers, point: FloatArray) -> NDArray[np.bool_]:
+    """Return which surfaces a point sees anything of, shape [count]."""
+    rays = texel_directions(90, 180).reshape(-1, 3)
+    met, _ = first_surfaces(surfaces.planes(), point, rays)
+    return np.asarray(np.bincount(met[met >= 0], minlength=len(surfaces.corner)) > 0)
 
 
 def _first(blockers: Blockers, count: int) -> Blockers:
@@ -129,14 +157,14 @@ def place(blockers: Blockers, index: int, u: FloatArray, v: FloatArray) -> Float
 
 
 def _polygons(blockers: Blockers, cells: Cells, index: int) -> FloatArray:
-    u0, u1, v0, v1 = cells.spans(index).T
+    u0, u1, v0, v1 = cells.spans[index].T
     ends = [(u0, v0), (u1, v0), (u1, v1), (u0, v1)]
     return np.stack([place(blockers, index, u, v) for u, v in ends], axis=1)
 
 
 def _samples(model: Model, index: int, at: FloatArray) -> FloatArray:
     """Return a grid of points of every cell of a surface [m], shape [cells * n * n, 3]."""
-    u0, u1, v0, v1 = (part[:, None, None] for part in model.cells.spans(index).T)
+    u0, u1, v0, v1 = (part[:, None, None] for part in model.cells.spans[index].T)
     u, v = np.broadcast_arrays(u0 + (u1 - u0) * at[:, None], v0 + (v1 - v0) * at[None])
     return place(model.blockers, index, u.ravel(), v.ravel())
 
@@ -149,35 +177,27 @@ def gather(model: Model, index: int, points: FloatArray) -> FloatArray:
         index: The surface.
         points: On it [m], shape [point_count, 3].
     """
-    blockers, cells = model.blockers, model.cells
-    normal = blockers.normal[index]
-    x = blockers.along[index] / np.linalg.norm(blockers.along[index])
-    frame = np.stack([x, np.cross(normal, x), normal])
-    local = (points - blockers.corner[index]) @ frame.T
-    result = np.zeros((len(points), cells.count))
-    planes = blockers.planes()
-    for other in range(model.surface_count):
-        part = slice(int(cells.first[other]), int(cells.first[other + 1]))
-        polygons = (model.polygons[part] - blockers.corner[index]) @ frame.T
-        behind = ((points - blockers.corner[other]) @ blockers.normal[other]).max() <= 1e-9
-        if other == index or behind or polygons[..., 2].max() <= 1e-9:
-            continue
-        clipped = clip_above(polygons)
-        steps = max(1, _CHUNK // len(polygons))
-        for begin in range(0, len(points), steps):
-            rows = slice(begin, begin + steps)
-            factor = projected_in_plane(local[rows, :2], clipped) / np.pi
-            result[rows, part] = np.maximum(factor, 0.0)
-        which = candidates(blockers, blockers.corners[index], blockers.corners[other])
-        which = which[(which != index) & (which != other)]
-        if which.size:
-            targets = _samples(model, other, _GAUSS)
-            steps = max(1, _CHUNK // len(targets))
-            for begin in range(0, len(points), steps):
-                rows = slice(begin, begin + steps)
-                free = is_open(planes[which], points[rows], targets)
-                result[rows, part] *= free.reshape(len(free), -1, 4).mean(axis=2)
-    return result
+    square = lattice(*_NODE_RAYS)
+    shift = np.arange(len(points))[:, None, None] * np.array(_SHIFT[:2])
+    ways = cosine_directions((square[None] + shift) % 1.0, model.blockers.normal[index])
+    return shares(model.blockers, model.cells, index, points[:, None], ways)
+
+
+def _exchange(model: Model, index: int) -> FloatArray:
+    """Return the form factors from a surface's cells to all cells, shape [cells, all cells]."""
+    spans = model.cells.spans[index]
+    square = lattice(*_CELL_RAYS)
+    number = np.arange(len(spans))[:, None] + model.cells.first[index]
+    ways = (square[None] + number[:, :, None] * np.array(_SHIFT[:2])) % 1.0
+    # Places run through the cell while directions run through the hemisphere.
+    ray = np.arange(len(square))[None]
+    u = (ray * _SHIFT[2] + number * _SHIFT[3]) % 1.0
+    v = (ray * _SHIFT[3] + number * _SHIFT[2]) % 1.0
+    u = spans[:, :1] + (spans[:, 1:2] - spans[:, :1]) * u
+    v = spans[:, 2:3] + (spans[:, 3:] - spans[:, 2:3]) * v
+    points = place(model.blockers, index, u.ravel(), v.ravel()).reshape(*u.shape, 3)
+    ways = cosine_directions(ways, model.blockers.normal[index])
+    return shares(model.blockers, model.cells, index, points, ways)
 
 
 def solve(
@@ -191,7 +211,7 @@ def solve(
     """
     tell = advance or (lambda _count: None)
     cells, count = model.cells, model.cells.count
-    factors, shares = np.zeros((count, count)), np.zeros(count)
+    factors, hidden = np.zeros((count, count)), np.zeros(count)
     direct = np.zeros((count, model.sources.count))
     middles = model.polygons.mean(axis=1)
     is_covered = covered(model.surfaces, middles, cells.surface)
@@ -200,15 +220,12 @@ def solve(
     )
     for index in range(model.surface_count):
         part = slice(int(cells.first[index]), int(cells.first[index + 1]))
-        points = _samples(model, index, _GAUSS)
-        rows = gather(model, index, points)
-        factors[part] = rows.reshape(-1, 4, count).mean(axis=1)
-        direct[part], shares[part] = _direct(model, index)
+        direct[part], hidden[part] = _direct(model, index)
+        factors[part] = (1.0 - hidden[part])[:, None] * _exchange(model, index)
         tell(1)
     factors[is_covered], direct[is_covered] = 0.0, 0.0
-    target = model.area * (1.0 - shares) if is_closed else None
-    factors = balanced(factors, model.area, target)
-    at_corners = _corner_factors(model, is_closed, tell)
+    factors = balanced(factors, model.area)
+    at_corners = _corner_factors(model, tell)
     result = {}
     for name in model.scene.classes:
         spectra = model.sources.spectra_of(name)
@@ -216,7 +233,7 @@ def solve(
         radiosity = bounce(factors, reflectance, direct @ spectra)
         arriving = direct @ spectra + factors @ radiosity
         absorbed = model.area @ ((1.0 - reflectance) * arriving)
-        absorbed += (model.area * shares) @ radiosity
+        absorbed += (model.area * (1.0 - factors.sum(axis=1))) @ radiosity
         balance = Balance(model.sources.emitted(name), absorbed)
         result[name] = Solution(radiosity, at_corners @ radiosity, balance)
     return result, is_closed
@@ -241,27 +258,27 @@ def covered(
     return result
 
 
-def balanced(factors: FloatArray, area: FloatArray, target: FloatArray | None) -> FloatArray:
-    """Return form factors that are reciprocal, and whose rows add up to what they must.
+def balanced(factors: FloatArray, area: FloatArray) -> FloatArray:
+    """Return form factors that are reciprocal, with the sums of their rows.
 
     Args:
         factors: F from row to column, shape [cells, cells].
         area: Of the cells [m^2], shape [cells].
-        target: A times the sum of each row, where it is known, shape [cells].
     """
+    target = area * factors.sum(axis=1)
     exchange = area[:, None] * factors
     exchange = 0.5 * (exchange + exchange.T)
-    if target is not None:
-        scale = np.ones(len(area))
-        buried = exchange.sum(axis=1) <= 1e-6 * area
-        for _ in range(200):
-            rows = scale * (exchange @ scale)
-            wrong = np.where(buried, 1.0, target / np.where(buried, 1.0, rows))
-            scale *= np.sqrt(wrong)
-            if np.abs(wrong - 1.0).max() < 1e-12:
-                break
-        exchange *= scale[:, None]
-        exchange *= scale[None]
+    alone = target <= 1e-6 * area
+    exchange[alone] = exchange[:, alone] = 0.0
+    alone |= exchange.sum(axis=1) <= 0.0
+    scale = np.ones(len(area))
+    for _ in range(200):
+        rows = scale * (exchange @ scale)
+        wrong = np.where(alone, 1.0, target / np.where(alone, 1.0, rows))
+        scale *= np.sqrt(wrong)
+        if np.abs(wrong - 1.0).max() < 1e-12:
+            break
+    exchange *= scale[:, None] * scale[None]
     exchange /= area[:, None]
     return exchange
 
@@ -289,8 +306,8 @@ def _direct(model: Model, index: int) -> tuple[FloatArray, FloatArray]:
     """Return direct light averaged over a surface's cells, and what lamps take of their view."""
     size = np.sqrt(model.area[model.cells.first[index] : model.cells.first[index + 1]])
     middles = _samples(model, index, np.array([0.5]))
-    near = model.sources.distance(middles)
-    count = int(np.clip(np.ceil(3.0 * (size / np.maximum(near, 1e-3)).max()), 2, 8))
+    near = model.sources.distance(middles, model.blockers.normal[index])
+    count = int(np.clip(np.ceil(3.0 * (size / np.maximum(near, 1e-3)).max()), 2, 4))
     nodes, weights = np.polynomial.legendre.leggauss(count)
     points = _samples(model, index, 0.5 + 0.5 * nodes)
     factor, share = model.sources.factors(model.blockers, index, points)
@@ -312,21 +329,16 @@ def corner_nodes(cuts: FloatArray) -> FloatArray:
 
 def corner_points(model: Model, index: int) -> FloatArray:
     """Return where light is gathered on a surface [m], shape [count, 3], rows of u."""
-    u, v = (corner_nodes(cuts) for cuts in model.cells.cuts[index])
+    u, v = (corner_nodes(cuts) for cuts in model.nodes.cuts[index])
     both = np.meshgrid(u, v, indexing="ij")
     return place(model.blockers, index, both[0].ravel(), both[1].ravel())
 
 
-def _corner_factors(model: Model, is_closed: bool, tell: Callable[[int], None]) -> FloatArray:
+def _corner_factors(model: Model, tell: Callable[[int], None]) -> FloatArray:
     blocks = []
     for index in range(model.surface_count):
         points = corner_points(model, index)
-        rows = gather(model, index, points)
-        total = rows.sum(axis=1)
-        if is_closed:
-            _, share = model.sources.factors(model.blockers, index, points)
-            scale = (1.0 - share) / np.where(total > 1e-6, total, 1.0)
-            rows *= np.where(total > 1e-6, scale, 0.0)[:, None]
-        blocks.append(rows)
+        _, hidden = model.sources.factors(model.blockers, index, points)
+        blocks.append((1.0 - hidden)[:, None] * gather(model, index, points))
         tell(1)
     return np.concatenate(blocks)

@@ -1,10 +1,12 @@
 """Surfaces cut into cells: where radiosity is constant, and the corners it is gathered at.
 
-Cuts run along the edges of what touches a surface, so that no cell is half below a cabinet.
+Cuts run along the edges of what touches a surface or nearly does: no cell is half below a cabinet.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +16,12 @@ from usdskin.judge.set_geometry import Blockers
 
 FloatArray = NDArray[np.float64]
 
-_TOUCH = 1e-4
-"""Height above a surface at which something touches it [m]."""
+_GAP = 0.2
+"""Height above a surface up to which edges that run along it cut it [m]: what is below a sofa is
+dark, and no cell is half of it."""
+
+_LEAST = 0.04
+"""Size below which no cell is halved for being near a lamp [m]."""
 
 _FAR = 0.12
 """Size of a cell over its distance from the camera, where that is larger than the size wanted."""
@@ -23,10 +29,10 @@ _FAR = 0.12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """The cells of all surfaces, one surface after another, rows of u, columns of v."""
+    """Parts of all surfaces, one surface after another."""
 
-    cuts: tuple[tuple[FloatArray, FloatArray], ...]
-    """For each surface where it is cut along its two edges, from 0 to 1."""
+    spans: tuple[FloatArray, ...]
+    """For each surface where its cells begin and end, shape [cells, 4]: u0 u1 v0 v1."""
 
     first: NDArray[np.int64]
     """Index of each surface's first cell, and the count of all, shape [surface_count + 1]."""
@@ -39,63 +45,132 @@ class Cells:
     @property
     def surface(self) -> NDArray[np.int64]:
         """Index of each cell's surface, shape [count]."""
-        return np.repeat(np.arange(len(self.cuts)), np.diff(self.first))
+        return np.repeat(np.arange(len(self.spans)), np.diff(self.first))
 
-    def spans(self, surface: int) -> FloatArray:
-        """Return u and v where a surface's cells begin and end, shape [cells, 4]: u0 u1 v0 v1."""
-        u, v = self.cuts[surface]
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grids:
+    """A grid on each surface."""
+
+    cuts: tuple[tuple[FloatArray, FloatArray], ...]
+    """For each surface where it is cut along its two edges, from 0 to 1."""
+
+    @property
+    def cell_count(self) -> int:
+        """Cells of all."""
+        return sum((u.size - 1) * (v.size - 1) for u, v in self.cuts)
+
+    @property
+    def first(self) -> NDArray[np.int64]:
+        """Index of each surface's first corner, and the count of all."""
+        return np.concatenate([[0], np.cumsum([u.size * v.size for u, v in self.cuts])])
+
+
+def cells_of(
+    blockers: Blockers, grids: Grids, distance: Callable[[int, FloatArray], FloatArray]
+) -> Cells:
+    """Return the cells of grids, halved until none is larger than its distance from a lamp.
+
+    Light near a lamp changes over that distance, and so does what the lamp hides.
+
+    Args:
+        blockers: The surfaces.
+        grids: How they are cut.
+        distance: Returns how far from lamps some points of a surface are [m].
+    """
+    spans = []
+    for index, (u, v) in enumerate(grids.cuts):
+        corner, along, across = (
+            blockers.corner[index],
+            blockers.along[index],
+            blockers.across[index],
+        )
         i, j = (part.ravel() for part in np.meshgrid(
             np.arange(u.size - 1), np.arange(v.size - 1), indexing="ij"))  # fmt: skip
-        return np.stack([u[i], u[i + 1], v[j], v[j + 1]], axis=1)
+        todo = np.stack([u[i], u[i + 1], v[j], v[j + 1]], axis=1)
+        size = np.array([np.linalg.norm(along), np.linalg.norm(across)])
+        done = []
+        while len(todo):
+            middle = 0.5 * (todo[:, [0, 2]] + todo[:, [1, 3]])
+            extent = (todo[:, [1, 3]] - todo[:, [0, 2]]) * size
+            near = distance(index, corner + middle @ np.stack([along, across]))
+            wide = extent.max(axis=1) > np.maximum(near, _LEAST)
+            done.append(todo[~wide])
+            todo, middle, extent = todo[wide], middle[wide], extent[wide]
+            is_long = extent[:, 0] >= extent[:, 1]
+            first, second = todo.copy(), todo.copy()
+            first[is_long, 1] = second[is_long, 0] = middle[is_long, 0]
+            first[~is_long, 3] = second[~is_long, 2] = middle[~is_long, 1]
+            todo = np.concatenate([first, second])
+        spans.append(np.concatenate(done))
+    return Cells(tuple(spans), np.concatenate([[0], np.cumsum([len(part) for part in spans])]))
 
 
-def cut_cells(blockers: Blockers, count: int, camera: FloatArray, least: int = 2) -> Cells:
-    """Return about as many cells as asked for, all about as large near the camera.
+@dataclass(frozen=True, slots=True, eq=False)
+class Cutting:
+    """How surfaces are cut."""
+
+    camera: FloatArray
+    """From where the set is seen [m], shape [3]."""
+
+    is_fine: NDArray[np.bool_]
+    """Surfaces that are cut as wanted, others only in two, shape [surface_count]."""
+
+    edge: float = 1.0
+    """Size at the edges of surfaces, over the size elsewhere."""
+
+
+def cut_grids(blockers: Blockers, count: int, cutting: Cutting) -> Grids:
+    """Return grids of about as many cells as asked for, all about as large near the camera.
 
     Args:
         blockers: The surfaces.
         count: How many, at most.
-        camera: From where the set is seen [m], shape [3].
-        least: Cells along the edge of a surface, at least.
+        cutting: How they are cut.
     """
     lines = [_touching(blockers, index) for index in range(len(blockers.corner))]
     low, high = 1e-4, 1e4
-    for _ in range(40):
+    for _ in range(24):
         size = float(np.sqrt(low * high))
-        if _cells(blockers, lines, size, camera, least).count > count:
+        if _grids(blockers, lines, size, cutting).cell_count > count:
             low = size
         else:
             high = size
-    return _cells(blockers, lines, high, camera, least)
+    return _grids(blockers, lines, high, cutting)
 
 
-def _cells(
+def _grids(
     blockers: Blockers,
     lines: list[tuple[FloatArray, FloatArray]],
     size: float,
-    camera: FloatArray,
-    least: int,
-) -> Cells:
+    cutting: Cutting,
+) -> Grids:
     cuts = []
     for index, (u_lines, v_lines) in enumerate(lines):
         u_edge, v_edge = blockers.along[index], blockers.across[index]
         corner = blockers.corner[index]
-        u = _cut(u_lines, corner, u_edge, v_edge, size, camera, least)
-        v = _cut(v_lines, corner, v_edge, u_edge, size, camera, least)
+        wanted = size if cutting.is_fine[index] else np.inf
+        u = _cut(u_lines, corner, u_edge, v_edge, wanted, cutting)
+        v = _cut(v_lines, corner, v_edge, u_edge, wanted, cutting)
         cuts.append((u, v))
-    counts = [(u.size - 1) * (v.size - 1) for u, v in cuts]
-    return Cells(tuple(cuts), np.concatenate([[0], np.cumsum(counts)]))
+    return Grids(tuple(cuts))
 
 
 def _touching(blockers: Blockers, index: int) -> tuple[FloatArray, FloatArray]:
     """Return where edges of other surfaces touch a surface, as u and v."""
     edge = np.stack([blockers.along[index], blockers.across[index], blockers.normal[index]], axis=1)
     local = (blockers.corners - blockers.corner[index]) @ np.linalg.inv(edge).T
-    touches = np.abs(local[..., 2]) < _TOUCH
+    height = local[..., 2]
+    touches = (height > -1e-4) & (height < _GAP)
     within = (local[..., :2] > -1e-6).all(axis=-1) & (local[..., :2] < 1.0 + 1e-6).all(axis=-1)
     # An edge touches, not a mere corner.
     touches &= within
-    touches &= np.roll(touches, 1, axis=1) | np.roll(touches, -1, axis=1)
+    level = np.zeros_like(touches)
+    for step in (-1, 1):
+        level |= np.roll(touches, step, axis=1) & (
+            abs(np.roll(height, step, axis=1) - height) < 1e-4
+        )
+    touches &= level
     touches[index] = False
     found = local[touches][:, :2]
     return tuple(
@@ -110,23 +185,28 @@ def _cut(
     edge: FloatArray,
     other: FloatArray,
     size: float,
-    camera: FloatArray,
-    least: int,
+    cutting: Cutting,
 ) -> FloatArray:
     """Return where one edge is cut: halves, until strips are no wider than wanted."""
     length = float(np.linalg.norm(edge))
     samples = corner + np.linspace(0.0, 1.0, 5)[:, None] * other
     result = [lines[0]]
-    span = float(lines[-1] - lines[0])
-    stack = [(float(a), float(b)) for a, b in zip(lines[-2::-1], lines[:0:-1], strict=True)]
+    ends = zip(lines[-2::-1].tolist(), lines[:0:-1].tolist(), strict=True)
+    stack = [(a, b, a, b) for a, b in ends]
     while stack:
-        a, b = stack.pop()
-        inside = np.clip(_nearest(camera - samples, edge), a, b)
-        nearest = np.linalg.norm(samples + inside[:, None] * edge - camera, axis=1).min()
-        wanted = max(size, _FAR * float(nearest))
-        if (b - a) * length > wanted or (b - a) > span / least + 1e-9:
+        a, b, low, high = stack.pop()
+        wanted = size
+        if cutting.edge < 1.0:
+            inner = length * max(min(a - low, high - b), 0.0)
+            wanted *= min(1.0, cutting.edge + 0.5 * inner / size)
+        if math.isfinite(size):
+            inside = np.clip(_nearest(cutting.camera - samples, edge), a, b)
+            away = samples + inside[:, None] * edge - cutting.camera
+            wanted = max(wanted, _FAR * float(np.linalg.norm(away, axis=1).min()))
+        is_whole = a == lines[0] and b == lines[-1]
+        if (b - a) * length > wanted or is_whole:
             middle = 0.5 * (a + b)
-            stack += [(middle, b), (a, middle)]
+            stack += [(middle, b, low, high), (a, middle, low, high)]
         else:
             result.append(b)
     return np.array(result)

@@ -25,9 +25,9 @@ BoolArray = NDArray[np.bool_]
 
 _FINER = (21, 13)
 """Rays in a texel that holds an edge, a Fibonacci number and the one before it."""
-_FINEST = (987, 610)
-"""Rays in one that holds the edge of a lamp, at 192 rows and more."""
-_FINEST_COARSE = (2584, 1597)
+_FINEST = (4181, 2584)
+"""Rays in one that holds the edge of a lamp, at 256 rows and more."""
+_FINEST_COARSE = (28657, 17711)
 """The same, in coarser pictures."""
 _CONTRAST = 0.03
 _RAYS = 1 << 16
@@ -154,8 +154,7 @@ class _Eye:
         self._planes = model.surfaces.planes()
         self._normals = model.surfaces.normal
         self._spectra = {name: model.sources.spectra_of(name) for name in solutions}
-        counts = [len(u) * len(v) for u, v in model.cells.cuts]
-        self._first = np.concatenate([[0], np.cumsum(counts)])
+        self._first = model.nodes.first
 
     def sees(self, directions: FloatArray) -> BoolArray:
         """Return in which directions nothing stands, shape [count]."""
@@ -201,7 +200,7 @@ class _Eye:
 
     def _between(self, index: int, points: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
         """Return the weights of four corners of a cell, and which they are, shape [count, 4]."""
-        cuts = self._model.cells.cuts[index]
+        cuts = self._model.nodes.cuts[index]
         _, u, v = coordinates(self._planes[index], points)
         at, low = [], []
         for coordinate, cut in ((u, cuts[0]), (v, cuts[1])):
@@ -251,7 +250,7 @@ def _add_lamps(model: Model, grid: _Grid, image: dict[str, FloatArray]) -> tuple
         _mark(marked, grid, set_lamps.outline(lamp, origin[None])[0] - origin)
     marked = _grown(marked)
     planes = model.surfaces.planes()
-    finest = _FINEST if grid.height >= 192 else _FINEST_COARSE
+    finest = _FINEST if grid.height >= 256 else _FINEST_COARSE
     for part in _parts(np.flatnonzero(marked), finest[0]):
         rays = grid.rays(part, finest).reshape(-1, 3)
         nearest = np.full(len(rays), np.inf)

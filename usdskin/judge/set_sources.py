@@ -71,13 +71,23 @@ class Sources:
                 total += np.pi * set_lamps.area(lamp) * self.spectra[column]
         return total
 
-    def distance(self, points: FloatArray) -> FloatArray:
-        """Return how far the nearest lamp is, about [m], shape [count]."""
+    def distance(self, points: FloatArray, normal: FloatArray) -> FloatArray:
+        """Return how far the nearest lamp is that shines on a surface, about [m], shape [count].
+
+        Args:
+            points: On the surface [m], shape [count, 3].
+            normal: Its normal, shape [3].
+        """
         nearest = np.full(len(points), np.inf)
         for lamp in self.lamps:
-            places, _ = set_lamps.targets(lamp)
-            for spot in places:
-                np.minimum(nearest, np.linalg.norm(points - spot, axis=1), out=nearest)
+            places, facing = set_lamps.targets(lamp)
+            for index, spot in enumerate(places):
+                away = spot - points
+                length = np.linalg.norm(away, axis=1)
+                shines = away @ normal > 0.02 * length
+                if facing is not None:
+                    shines &= away @ facing[index] < -0.02 * length
+                np.minimum(nearest, np.where(shines, length, np.inf), out=nearest)
         return nearest
 
     def factors(
@@ -92,8 +102,8 @@ class Sources:
             fineness: How finely lamps are looked at.
 
         Returns:
-            Factors, shape [point_count, count]; and the share of a white sphere's light that
-            lamps would stop, shape [point_count].
+            Factors, shape [point_count, count]; and the share of their view that lamps
+            which are no blockers hide, shape [point_count].
         """
         result, share = np.zeros((len(points), self.count)), np.zeros(len(points))
         normal, planes = blockers.normal[index], blockers.planes()
@@ -109,7 +119,8 @@ class Sources:
                     lamp, points[rows], normal, places, facing, planes[which]
                 )
                 result[rows, column] += given
-                share[rows] += taken / np.pi
+                if lamp.kind != "rect":
+                    share[rows] += taken / np.pi
         self._add_far(result, blockers, index, points, planes, normal)
         return result, share
 
@@ -231,14 +242,8 @@ def look_at_sky(sky: DomeLight, directions: FloatArray) -> FloatArray:
     return np.asarray(sky.coefficients[rows, columns], np.float64)
 
 
-def make_sources(scene: SetScene, blockers: Blockers) -> Sources:
-    """Return what shines in a set.
-
-    Args:
-        scene: The set.
-        blockers: What stops light.
-    """
-    del blockers
+def make_sources(scene: SetScene) -> Sources:
+    """Return what shines in a set."""
     columns: dict[tuple[str, bytes], int] = {}
     spectra: list[FloatArray] = []
     classes: list[str] = []
