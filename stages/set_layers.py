@@ -99,7 +99,9 @@ def add_light(
 # --- Surfaces ----------------------------------------------------------------------------------
 
 
-def box(low: Point, high: Point, sides: str = "-x +x -y +y -z +z", inside: bool = False) -> list[Quad]:
+def box(
+    low: Point, high: Point, sides: str = "-x +x -y +y -z +z", inside: bool = False
+) -> list[Quad]:
     """Return faces of a box, seen from outside or from inside."""
     points = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1])
               for z in (low[2], high[2])]  # fmt: skip

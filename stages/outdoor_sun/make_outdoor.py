@@ -65,10 +65,16 @@ HEIGHT = 96
 
 REFLECTANCES = {
     # Chlorophyll: dark below 500 nm and at 670 nm, green between, the red edge from 690 nm.
-    "grass": 0.03 + 0.075 * bump(553.0, 32.0) + 0.02 * rise(510.0, 15.0) - 0.015 * bump(672.0, 18.0)
+    "grass": 0.03
+    + 0.075 * bump(553.0, 32.0)
+    + 0.02 * rise(510.0, 15.0)
+    - 0.015 * bump(672.0, 18.0)
     + 0.38 * rise(716.0, 11.0),
     "concrete": 0.20 + 0.10 * rise(480.0, 70.0) + 0.04 * rise(620.0, 50.0),
-    "plaster": 0.08 + 0.40 * rise(405.0, 10.0) + 0.22 * rise(510.0, 40.0) + 0.05 * rise(600.0, 40.0),
+    "plaster": 0.08
+    + 0.40 * rise(405.0, 10.0)
+    + 0.22 * rise(510.0, 40.0)
+    + 0.05 * rise(600.0, 40.0),
     "brick": 0.06 + 0.20 * rise(585.0, 22.0) + 0.08 * rise(660.0, 30.0),
     "dark": even(0.04),
 }
@@ -192,7 +198,9 @@ def main() -> None:
     write_exr(FOLDER / "sky.exr", [Part("light", channels, sample_type="half")], "zip:9")
     weights = values @ xyz_weights(WAVELENGTH_NM, absolute=True) @ xyz_to_rgb("lin_rec709_scene").T
     rgb = np.maximum(coefficients @ weights, 0.0).astype(np.float32)
-    write_exr(FOLDER / "sky_rgb.exr", [Part("", {"": rgb}, {}, "half", "lin_rec709_scene")], "zip:9")
+    write_exr(
+        FOLDER / "sky_rgb.exr", [Part("", {"": rgb}, {}, "half", "lin_rec709_scene")], "zip:9"
+    )
     write_spectral_light(dome.GetPrim(), light, FOLDER)
     write_set(stage, FOLDER, REFLECTANCES, surfaces())
     print(f"sun {luminance(sun_irradiance()):.0f} lx, sky {diffuse_illuminance():.0f} lx")
