@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from usdskin.images import Part, read_image, write_exr
+
 ROOT = Path(__file__).resolve().parents[1]
 
 TINY = ("--size", "tiny", "--integrator", "map")
@@ -67,6 +69,28 @@ def Xform "Shot"
 """
 
 
+_LIGHT = """
+def Xform "Light" (
+    references = @{room}@
+)
+{{
+    over "Light"
+    {{
+        asset inputs:spectral:coefficients:file = @./room.exr@
+    }}
+}}
+"""
+
+
+def _write_small_map(path: Path, step: int = 8) -> None:
+    """Write the capture room's light, averaged over blocks of texels."""
+    whole = read_image(ROOT / "stages/capture_room/room.exr")
+    height, width, count = whole.pixels.shape
+    small = whole.pixels.reshape(height // step, step, width // step, step, count).mean((1, 3))
+    channels = {name: small[..., index] for index, name in enumerate(whole.channel_names)}
+    write_exr(path, [Part("", channels)])
+
+
 def write_set(folder: Path, lamps: tuple[str, ...] = ("tubes", "window")) -> Path:
     """Write a set whose light is that of the capture room; return the light to hand over."""
     folder.mkdir(parents=True)
@@ -78,6 +102,7 @@ def write_set(folder: Path, lamps: tuple[str, ...] = ("tubes", "window")) -> Pat
     if len(lamps) > 1:
         named |= {f"light_{lamp}": lamp for lamp in lamps}
     for name, source in named.items():
-        text = f'def Xform "Light" (\n    references = @{stages}/capture_room/{source}.usda@\n)\n'
-        (folder / f"{name}.usda").write_text(_HEAD.format(root="Light") + text + "{\n}\n")
+        text = _LIGHT.format(room=f"{stages}/capture_room/{source}.usda")
+        (folder / f"{name}.usda").write_text(_HEAD.format(root="Light") + text)
+    _write_small_map(folder / "room.exr")
     return folder / "light.usda"

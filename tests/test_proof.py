@@ -257,7 +257,8 @@ def test_faults_do_what_they_are_called():
     np.testing.assert_allclose(rotation_of(3.0)(values).sum(axis=1), values.sum(axis=1))
     assert clipping_of(0.5)(values).max() == 0.5 * values.max()
     seen = vignetting_of(0.1)(np.ones((64, 128, 3)))
-    assert 0.93 < seen.min() < seen.max() <= 1.0
+    assert 0.9 < seen.min() < 0.91  # below, a right angle from every view
+    assert 0.999 < seen.max() <= 1.0
 
 
 def test_a_report_shows_every_part_of_the_proof(proved, tmp_path, capsys):

@@ -222,8 +222,10 @@ class _Street:
             "shot",
             "take the shot of the set",
             "",
-            [self.shot],
-            lambda doing: doing.writes.append(write_base(self.shot, variants, self.base)),
+            [self.shot, self.truth.light],
+            lambda doing: doing.writes.append(
+                write_base(self.shot, self.truth.light, variants, self.base)
+            ),
             {f"{path}{{{name}}}": chosen for (path, name), chosen in variants.items()},
         )
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +74,8 @@ def noise_of(share: float, seed: int) -> Spoil:
 
     def spoil(values: FloatArray) -> FloatArray:
         random = np.random.default_rng([seed, values.shape[0]])
-        return np.maximum(values * (1.0 + share * random.normal(size=values.shape)), 0.0)
+        noisy = values * (1.0 + share * random.normal(size=values.shape))
+        return np.asarray(np.maximum(noisy, 0.0))
 
     return spoil
 
@@ -84,7 +86,7 @@ def glare_of(share: float) -> Spoil:
     def spoil(values: FloatArray) -> FloatArray:
         weights = texel_solid_angles(*values.shape[:2]) / (4.0 * np.pi)
         mean = np.einsum("i,ijk->k", weights, values)
-        return (1.0 - share) * values + share * mean
+        return np.asarray((1.0 - share) * values + share * mean)
 
     return spoil
 
@@ -93,7 +95,7 @@ def clipping_of(share: float) -> Spoil:
     """Return saturation at a share of the brightest channel of the brightest texel."""
 
     def spoil(values: FloatArray) -> FloatArray:
-        return np.minimum(values, share * values.max())
+        return np.asarray(np.minimum(values, share * values.max()))
 
     return spoil
 
@@ -106,7 +108,7 @@ def rotation_of(angle_deg: float) -> Spoil:
         whole = int(np.floor(columns))
         part = columns - whole
         first = np.roll(values, whole, axis=1)
-        return (1.0 - part) * first + part * np.roll(values, whole + 1, axis=1)
+        return np.asarray((1.0 - part) * first + part * np.roll(values, whole + 1, axis=1))
 
     return spoil
 
@@ -118,7 +120,7 @@ def vignetting_of(share: float) -> Spoil:
     def spoil(values: FloatArray) -> FloatArray:
         cosine = (texel_directions(*values.shape[:2]) @ axes.T).max(axis=-1)
         angle = np.arccos(np.clip(cosine, -1.0, 1.0)) / (0.5 * np.pi)
-        return values * (1.0 - share * angle**2)[..., None]
+        return np.asarray(values * (1.0 - share * angle**2)[..., None])
 
     return spoil
 
@@ -145,16 +147,16 @@ def faults(seed: int) -> Iterator[Fault]:
     for share in (0.01, 0.03):
         yield Fault("scale of the readings", f"+{share:.0%}", scale=1.0 + share)
     for step in (0.05, 0.1):
-        yield Fault("wrap l", f"+{step:g}", skin=lambda skin, s=step: _with_wrap(skin, s))
+        yield Fault("wrap l", f"+{step:g}", skin=partial(_with_wrap, step))
     for share in (0.02, 0.05):
-        yield Fault("alpha", f"+{share:.0%}", skin=lambda skin, s=share: _with_alpha(skin, s))
+        yield Fault("alpha", f"+{share:.0%}", skin=partial(_with_alpha, share))
 
 
-def _with_wrap(skin: SkinParameters, step: float) -> SkinParameters:
+def _with_wrap(step: float, skin: SkinParameters) -> SkinParameters:
     return replace(skin, wrap=min(skin.wrap + step, 1.0))
 
 
-def _with_alpha(skin: SkinParameters, share: float) -> SkinParameters:
+def _with_alpha(share: float, skin: SkinParameters) -> SkinParameters:
     return replace(skin, alpha=skin.alpha * (1.0 + share))
 
 

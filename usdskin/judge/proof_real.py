@@ -280,7 +280,7 @@ class _RealStreet:
 
         def write(doing: Doing) -> None:
             variants = subject_and_tone(options.subject, options.tone)
-            base = write_base(shot, variants, place.shot("base"))
+            base = write_base(shot, light, variants, place.shot("base"))
             own = even_skin(base, options.lustre)
             used = skin or write_true_skin(own, base, place["shot_skin.usda"])
             doing.writes += [base, write_shot(base, ShotParts(light, used, own.thickness), output)]

@@ -46,11 +46,14 @@ def subject_and_tone(subject: str | None, tone: str | None) -> dict[tuple[str, s
     return {("/Shot/Subject", "subject"): subject, (SHOT_SKIN, "tone"): tone}
 
 
-def write_base(shot: Path, variants: Mapping[tuple[str, str], str | None], output: Path) -> Path:
+def write_base(
+    shot: Path, light: Path, variants: Mapping[tuple[str, str], str | None], output: Path
+) -> Path:
     """Write the set's shot with variants chosen.
 
     Args:
         shot: The set's shot.
+        light: Takes the place of its light, which need not have been made yet.
         variants: Prim and variant set -> variant; None leaves the shot's own.
         output: Layer to write.
 
@@ -61,19 +64,22 @@ def write_base(shot: Path, variants: Mapping[tuple[str, str], str | None], outpu
     if found is None:
         raise LayerError(f"{shot}: cannot be read as a USD layer; export it again")
     layer = _over(found, shot, output)
-    for (path, name), chosen in variants.items():
+    name = _name(light, output.parent.resolve())
+    layer.GetPrimAtPath(SHOT_LIGHT).referenceList.explicitItems = [Sdf.Reference(name)]
+    for (prim_path, variant_set), chosen in variants.items():
         if chosen is not None:
-            Sdf.CreatePrimInLayer(layer, path).variantSelections[name] = chosen
-    _write(layer, [shot], output)
+            Sdf.CreatePrimInLayer(layer, prim_path).variantSelections[variant_set] = chosen
+    _write(layer, [shot, light], output)
     stage = open_stage(output)
     for path in (SHOT_LIGHT, SHOT_SKIN):
         if not stage.GetPrimAtPath(path).IsDefined():
             raise LayerError(f"{shot}: has no <{path}>, which a proof replaces; see docs/proof.md")
-    for (path, name), chosen in variants.items():
-        known = stage.GetPrimAtPath(path).GetVariantSets().GetVariantSet(name).GetVariantNames()
+    for (prim_path, variant_set), chosen in variants.items():
+        owned = stage.GetPrimAtPath(prim_path).GetVariantSets()
+        known = owned.GetVariantSet(variant_set).GetVariantNames()
         if chosen is not None and chosen not in known:
             raise LayerError(
-                f"{shot}: <{path}> has no variant {name}={chosen}; it has "
+                f"{shot}: <{prim_path}> has no variant {variant_set}={chosen}; it has "
                 f"{', '.join(known) or 'none'}"
             )
     return output
@@ -109,8 +115,8 @@ def _over(base: Sdf.Layer, path: Path, output: Path) -> Sdf.Layer:
     for name in _OF_A_ROOT:
         if base.pseudoRoot.HasInfo(name):
             layer.pseudoRoot.SetInfo(name, base.pseudoRoot.GetInfo(name))
-    for path in (SHOT_LIGHT, SHOT_SKIN):
-        Sdf.CreatePrimInLayer(layer, path)
+    for prim_path in (SHOT_LIGHT, SHOT_SKIN):
+        Sdf.CreatePrimInLayer(layer, prim_path)
     return layer
 
 

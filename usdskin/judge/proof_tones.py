@@ -49,7 +49,8 @@ def judge_tone(
         doing: Takes files, notes and the row.
     """
     at = ToneFiles(place[f"tones/{tone}"])
-    base = write_base(shot, subject_and_tone(options.subject, tone), at["base.usda"])
+    variants = subject_and_tone(options.subject, tone)
+    base = write_base(shot, place.truth_light, variants, at["base.usda"])
     skin = even_skin(base, options.lustre)
     true_skin = write_true_skin(skin, base, at["truth.skin.usda"])
     samples = read_goniometer(true_skin, at["samples.usda"], goniometer_setup(options))
