@@ -23,10 +23,10 @@ from pxr import Sdf
 from usdskin.capture.step import CaptureOptions, capture_shoot
 from usdskin.estimate.camera.step import CalibrationOptions, calibrate_camera
 from usdskin.estimate.light.step import LightOptions, estimate_light
-from usdskin.judge.charts import ChartSetup, photograph_chart, with_camera_of
-from usdskin.judge.photographer import photograph
 from usdskin.judge.relit_skin import RelitDifference, compare_lights
-from usdskin.judge.setups import Setup, fisheye
+from usdskin.judge.shoot.charts import ChartSetup, photograph_chart, with_camera_of
+from usdskin.judge.shoot.photographer import photograph
+from usdskin.judge.shoot.setups import Setup, fisheye
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM, resample
 
 ROOM = Path(__file__).resolve().parents[1] / "stages" / "capture_room"

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from usdskin.errors import UsdSkinError
-from usdskin.judge.proof import prove
-from usdskin.judge.proof_options import PROOF_CAMERA, ProofOptions, size_of
+from usdskin.judge.proof.options import PROOF_CAMERA, ProofOptions, size_of
+from usdskin.judge.proof.prove import prove
 
 STAGES = Path(__file__).resolve().parents[1] / "stages"
 SETS = ("room_fluorescent", "hall_incandescent", "outdoor_sun", "mixed_window")

@@ -24,12 +24,12 @@ from usdskin.colorimetry import xyz_weights
 from usdskin.differences import delta_e_of_signals
 from usdskin.estimate.skin.step import SkinOptions, SkinResult, estimate_skin
 from usdskin.illuminants import illuminant
-from usdskin.judge.chart_layers import read_chart_truth
-from usdskin.judge.charts import ChartSetup, photograph_chart
-from usdskin.judge.sensor import Sensor, exposure_series
-from usdskin.judge.setups import Setup, fisheye
-from usdskin.judge.skin_photographs import SubjectSetup, photograph_subject
-from usdskin.judge.skin_scenes import define_lamp, direction_of, facing, lamp_irradiance
+from usdskin.judge.shoot.chart_layers import read_chart_truth
+from usdskin.judge.shoot.charts import ChartSetup, photograph_chart
+from usdskin.judge.shoot.sensor import Sensor, exposure_series
+from usdskin.judge.shoot.setups import Setup, fisheye
+from usdskin.judge.skin.photographs import SubjectSetup, photograph_subject
+from usdskin.judge.skin.scenes import define_lamp, direction_of, facing, lamp_irradiance
 from usdskin.prims.skin import SkinParameters, write_skin
 from usdskin.spectrum import SpectralQuantity, Spectrum
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.images import Part, read_image, write_exr
-from usdskin.judge.solve import solve_set
+from usdskin.judge.truth.solve import solve_set
 
 FOLDER = Path(__file__).resolve().parent
 SETS = ("room_fluorescent", "hall_incandescent", "outdoor_sun", "mixed_window")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.illuminants import illuminant
-from usdskin.judge.sensitivity import read_sensitivity
+from usdskin.judge.shoot.sensitivity import read_sensitivity
 from usdskin.layers import write_layer
 from usdskin.prims import ColorChart, write_color_chart
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM, band_widths, resample

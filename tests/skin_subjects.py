@@ -10,7 +10,7 @@ from pxr import Gf, Usd, UsdGeom, UsdShade, Vt
 
 from usdskin.colorimetry import xyz_weights
 from usdskin.illuminants import illuminant
-from usdskin.judge.skin_scenes import define_lamp, direction_of, facing, lamp_irradiance
+from usdskin.judge.skin.scenes import define_lamp, direction_of, facing, lamp_irradiance
 from usdskin.prims.skin import SkinParameters, write_skin
 from usdskin.spectrum import SpectralQuantity, Spectrum
 

@@ -14,9 +14,9 @@ from capture_truth import camera_values, error_of, irradiance, lamp_room, reduce
 from usdskin import cli
 from usdskin.capture.step import CaptureOptions, capture_shoot
 from usdskin.images import Part, read_image, write_exr
-from usdskin.judge.photographer import Setup, photograph
-from usdskin.judge.sensor import exposure_list, exposure_series
-from usdskin.judge.setups import fisheye
+from usdskin.judge.shoot.photographer import Setup, photograph
+from usdskin.judge.shoot.sensor import exposure_list, exposure_series
+from usdskin.judge.shoot.setups import fisheye
 from usdskin.latlong import texel_directions
 from usdskin.layers import open_stage
 from usdskin.prims import SkinParameters, write_skin
@@ -479,7 +479,7 @@ def test_black_and_saturated_views_are_refused(
 
 
 def constant_of(shoot: Path) -> float:
-    from usdskin.judge.shoot_layers import read_truth
+    from usdskin.judge.shoot.shoot_layers import read_truth
 
     return read_truth(shoot.parent).constants["sensorConstant"]
 

@@ -19,11 +19,11 @@ from usdskin.colorimetry import (
 )
 from usdskin.errors import FindingsError, ImageError, UsageError
 from usdskin.images import Part, read_headers, read_image, write_exr, write_png, write_spectral_exr
-from usdskin.judge.comparison import CompareOptions, compare_pictures, displayed
-from usdskin.judge.comparison_bars import judge_bars, require
-from usdskin.judge.comparison_maps import write_maps
-from usdskin.judge.comparison_spectra import common_grid
-from usdskin.judge.flip import flip_differences
+from usdskin.judge.comparison.bars import judge_bars, require
+from usdskin.judge.comparison.compare import CompareOptions, compare_pictures, displayed
+from usdskin.judge.comparison.flip import flip_differences
+from usdskin.judge.comparison.maps import write_maps
+from usdskin.judge.comparison.spectra import common_grid
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM, resample
 
 GRID = DEFAULT_WAVELENGTHS_NM

@@ -7,7 +7,7 @@ import pytest
 
 from usdskin.cli import main
 from usdskin.errors import UsageError
-from usdskin.judge.goniometer import GoniometerSetup, find_skin, measure, reflected, spectra_of
+from usdskin.judge.skin.goniometer import GoniometerSetup, find_skin, measure, reflected, spectra_of
 from usdskin.layers import open_stage
 from usdskin.prims.skin import SkinParameters, read_skin
 from usdskin.spectrum import SpectralQuantity, Spectrum

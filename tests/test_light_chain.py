@@ -12,10 +12,10 @@ import pytest
 from pxr import Usd
 
 from usdskin.cli import main
-from usdskin.judge.charts import ChartSetup, photograph_chart, with_camera_of
-from usdskin.judge.photographer import photograph
 from usdskin.judge.relit_skin import compare_lights, spectral_irradiance
-from usdskin.judge.setups import Setup, fisheye
+from usdskin.judge.shoot.charts import ChartSetup, photograph_chart, with_camera_of
+from usdskin.judge.shoot.photographer import photograph
+from usdskin.judge.shoot.setups import Setup, fisheye
 from usdskin.layers import open_stage
 from usdskin.prims import read_light_estimate, read_spectral_light
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM as GRID

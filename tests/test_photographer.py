@@ -17,28 +17,28 @@ from usdskin.commands.reporter import GlobalOptions
 from usdskin.device import Workers
 from usdskin.errors import LayerError, UsageError
 from usdskin.images import Part, read_image, write_exr
-from usdskin.judge import photographer
-from usdskin.judge.environments import (
+from usdskin.judge.shoot import photographer
+from usdskin.judge.shoot.environments import (
     Environment,
     LightDisc,
     LightMap,
     panorama,
     read_environment,
 )
-from usdskin.judge.optics import (
+from usdskin.judge.shoot.optics import (
     Picture,
     inverse_projection,
     pixel_angles,
     radius_at,
     vignetting,
 )
-from usdskin.judge.photo_files import CURVES, KINDS
-from usdskin.judge.photographer import Setup, add_glare, fisheye, photograph
-from usdskin.judge.sensitivity import read_sensitivity
-from usdskin.judge.sensor import Sensor, exposure_list, exposure_series
-from usdskin.judge.setups import lens_of_layer
-from usdskin.judge.shoot_layers import even_direction, luminance_weights, read_truth, spot
-from usdskin.judge.viewpoints import THREE_LEVEL, rotation_about, rotation_of
+from usdskin.judge.shoot.photo_files import CURVES, KINDS
+from usdskin.judge.shoot.photographer import Setup, add_glare, fisheye, photograph
+from usdskin.judge.shoot.sensitivity import read_sensitivity
+from usdskin.judge.shoot.sensor import Sensor, exposure_list, exposure_series
+from usdskin.judge.shoot.setups import lens_of_layer
+from usdskin.judge.shoot.shoot_layers import even_direction, luminance_weights, read_truth, spot
+from usdskin.judge.shoot.viewpoints import THREE_LEVEL, rotation_about, rotation_of
 from usdskin.latlong import latlong_coordinates, texel_directions
 from usdskin.layers import open_stage
 from usdskin.prims import FisheyeLens, read_shoot, write_lens

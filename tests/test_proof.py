@@ -16,12 +16,12 @@ from usdskin.colorimetry import color_matching_functions
 from usdskin.errors import LayerError, UsageError
 from usdskin.images import read_image, read_spectral
 from usdskin.judge import proof as proof_module
-from usdskin.judge.proof import prove
-from usdskin.judge.proof_bars import bars_of, light_bar
-from usdskin.judge.proof_budget import clipping_of, glare_of, rotation_of, vignetting_of
-from usdskin.judge.proof_options import ProofOptions, size_of
-from usdskin.judge.proof_record import JOURNAL_NAME, PROOF_NAME, Journal
-from usdskin.judge.proof_shoot import turned_views
+from usdskin.judge.proof.bars import bars_of, light_bar
+from usdskin.judge.proof.budget import clipping_of, glare_of, rotation_of, vignetting_of
+from usdskin.judge.proof.options import ProofOptions, size_of
+from usdskin.judge.proof.prove import prove
+from usdskin.judge.proof.record import JOURNAL_NAME, PROOF_NAME, Journal
+from usdskin.judge.proof.shoot import turned_views
 from usdskin.latlong import texel_solid_angles
 
 ESTIMATORS = ("ingest", "capture", "camera", "light", "skin-fit")

@@ -24,17 +24,17 @@ from usdskin.estimate.skin.scatter import find_odd, standard_deviations
 from usdskin.estimate.skin.spectra_of_channels import spectra_of_channels
 from usdskin.illuminants import illuminant
 from usdskin.images import Part, read_headers, read_image, write_exr
-from usdskin.judge.chart_layers import read_chart_truth
-from usdskin.judge.charts import ChartSetup, photograph_chart
-from usdskin.judge.sensor import Sensor, exposure_series
-from usdskin.judge.setups import Setup, fisheye
-from usdskin.judge.skin_photographs import (
+from usdskin.judge.shoot.chart_layers import read_chart_truth
+from usdskin.judge.shoot.charts import ChartSetup, photograph_chart
+from usdskin.judge.shoot.sensor import Sensor, exposure_series
+from usdskin.judge.shoot.setups import Setup, fisheye
+from usdskin.judge.skin.photographs import (
     SubjectSetup,
     lamps,
     photograph_subject,
     read_subject_truth,
 )
-from usdskin.judge.skin_scenes import direction_of, facing
+from usdskin.judge.skin.scenes import direction_of, facing
 from usdskin.layers import open_stage
 from usdskin.prims.samples import read_skin_samples
 from usdskin.prims.skin import read_skin

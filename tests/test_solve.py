@@ -18,12 +18,12 @@ from set_stages import (
 
 from usdskin.cli import main
 from usdskin.errors import LayerError
-from usdskin.judge import set_lamps
-from usdskin.judge.radiosity import bounce, make_model, place, solve
-from usdskin.judge.set_panorama import see
-from usdskin.judge.set_polygons import projected_solid_angle
-from usdskin.judge.sets import read_set
-from usdskin.judge.solve import solve_set
+from usdskin.judge.truth import lamps as set_lamps
+from usdskin.judge.truth.panorama import see
+from usdskin.judge.truth.polygons import projected_solid_angle
+from usdskin.judge.truth.radiosity import bounce, make_model, place, solve
+from usdskin.judge.truth.sets import read_set
+from usdskin.judge.truth.solve import solve_set
 from usdskin.latlong import texel_directions, texel_solid_angles
 from usdskin.render.lights import read_lights
 
@@ -132,7 +132,7 @@ def dense(lamp) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def factors_of(scene, cells: int):
-    from usdskin.judge import radiosity
+    from usdskin.judge.truth import radiosity
 
     model = make_model(scene, cells)
     blocks = [radiosity._exchange(model, index) for index in range(model.surface_count)]

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from usdskin.judge.radiosity import make_model, solve
-from usdskin.judge.set_geometry import first_surfaces
-from usdskin.judge.set_panorama import see
-from usdskin.judge.sets import SetScene, read_set
+from usdskin.judge.truth.geometry import first_surfaces
+from usdskin.judge.truth.panorama import see
+from usdskin.judge.truth.radiosity import make_model, solve
+from usdskin.judge.truth.sets import SetScene, read_set
 from usdskin.latlong import texel_directions, texel_solid_angles
 
 pytestmark = [

@@ -18,9 +18,9 @@ from usdskin.device import Workers
 from usdskin.errors import LayerError, UsageError
 from usdskin.estimate.chart.layouts import LAYOUTS
 from usdskin.images import read_image
-from usdskin.judge import charts
-from usdskin.judge.chart_patches import CLASSIC, CLASSIC_SET, DIGITAL_SG, read_chart
-from usdskin.judge.chart_scenes import (
+from usdskin.judge.shoot import charts
+from usdskin.judge.shoot.chart_patches import CLASSIC, CLASSIC_SET, DIGITAL_SG, read_chart
+from usdskin.judge.shoot.chart_scenes import (
     ChartScene,
     brightest_direction,
     chart_outline,
@@ -28,7 +28,7 @@ from usdskin.judge.chart_scenes import (
     facing_rotation,
     project,
 )
-from usdskin.judge.charts import (
+from usdskin.judge.shoot.charts import (
     ChartSetup,
     Instrument,
     chart_of,
@@ -36,13 +36,13 @@ from usdskin.judge.charts import (
     read_chart_truth,
     with_camera_of,
 )
-from usdskin.judge.environments import Environment, LightDisc, LightMap, read_environment
-from usdskin.judge.optics import Picture
-from usdskin.judge.photographer import Setup, fisheye, photograph
-from usdskin.judge.sensitivity import read_sensitivity
-from usdskin.judge.sensor import Sensor, exposure_list, exposure_series
-from usdskin.judge.shoot_layers import read_truth
-from usdskin.judge.spectrophotometer import READING_NM
+from usdskin.judge.shoot.environments import Environment, LightDisc, LightMap, read_environment
+from usdskin.judge.shoot.optics import Picture
+from usdskin.judge.shoot.photographer import Setup, fisheye, photograph
+from usdskin.judge.shoot.sensitivity import read_sensitivity
+from usdskin.judge.shoot.sensor import Sensor, exposure_list, exposure_series
+from usdskin.judge.shoot.shoot_layers import read_truth
+from usdskin.judge.shoot.spectrophotometer import READING_NM
 from usdskin.layers import open_stage
 from usdskin.prims import read_color_charts
 from usdskin.render.lights import read_lights

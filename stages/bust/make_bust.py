@@ -19,7 +19,7 @@ from usdskin.layers import write_layer
 
 # isort: split
 # After ours, which register the schemas.
-from pxr import Gf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 FloatArray = NDArray[np.float64]
 

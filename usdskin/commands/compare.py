@@ -13,8 +13,8 @@ from usdskin.commands.options import StepCommand, names
 from usdskin.commands.reporter import GlobalOptions, Reporter
 
 if TYPE_CHECKING:
-    from usdskin.judge.comparison import Comparison
-    from usdskin.judge.comparison_bars import Bar
+    from usdskin.judge.comparison.bars import Bar
+    from usdskin.judge.comparison.compare import Comparison
 
 _PATH = click.Path(path_type=Path)
 
@@ -123,9 +123,9 @@ def compare(
         usdskin --json compare truth.spectral.exr picture.spectral.exr --regions crypto_material
     """
     reporter = Reporter(options)
-    from usdskin.judge.comparison import CompareOptions, compare_pictures
-    from usdskin.judge.comparison_bars import judge_bars, known_bars, require
-    from usdskin.judge.comparison_maps import map_files, write_maps
+    from usdskin.judge.comparison.bars import judge_bars, known_bars, require
+    from usdskin.judge.comparison.compare import CompareOptions, compare_pictures
+    from usdskin.judge.comparison.maps import map_files, write_maps
 
     known_bars(threshold or {})
     if output is not None:
@@ -155,7 +155,7 @@ def _show(reporter: Reporter, found: Comparison, bars: Sequence[Bar]) -> None:
         judged = [dataclasses.asdict(bar) for bar in bars]
         reporter.event("comparison", **found.as_json(), bars=judged)
     elif not reporter.quiet:
-        from usdskin.judge.comparison_table import print_comparison
+        from usdskin.judge.comparison.table import print_comparison
 
         print_comparison(found)
 

@@ -48,7 +48,7 @@ def goniometer(
         usdskin estimate skin samples.usda -o skin.usda --specular ignore --opacity fit
     """
     with Reporter(options) as reporter:
-        from usdskin.judge.goniometer import GoniometerSetup, read_goniometer
+        from usdskin.judge.skin.goniometer import GoniometerSetup, read_goniometer
 
         setup = GoniometerSetup(**{name: item for name, item in given.items() if item is not None})
         reporter.wrote([read_goniometer(stage, output, setup, material=material)])

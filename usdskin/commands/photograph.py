@@ -12,8 +12,8 @@ from usdskin.commands.reporter import GlobalOptions, Reporter
 from usdskin.errors import UsageError
 
 if TYPE_CHECKING:
-    from usdskin.judge.charts import ChartSetup
-    from usdskin.judge.sensor import Exposures, Sensor
+    from usdskin.judge.shoot.charts import ChartSetup
+    from usdskin.judge.shoot.sensor import Exposures, Sensor
     from usdskin.notes import Note
     from usdskin.prims import FisheyeLens
 
@@ -162,9 +162,9 @@ def photograph(options: GlobalOptions, /, environment: Path, output: Path, **giv
     """
     with Reporter(options) as reporter:
         from usdskin.capture.viewpoints import parse_directions
-        from usdskin.judge.charts import photograph_chart, with_camera_of
-        from usdskin.judge.photographer import photograph as take
-        from usdskin.judge.setups import Setup
+        from usdskin.judge.shoot.charts import photograph_chart, with_camera_of
+        from usdskin.judge.shoot.photographer import photograph as take
+        from usdskin.judge.shoot.setups import Setup
 
         same_camera, chart, chart_only = _same_camera(given), _chart(given), given.pop("chart_only")
         if chart_only and chart is None:
@@ -208,7 +208,7 @@ def _same_camera(given: dict[str, Any]) -> Path | None:
 
 
 def _chart(given: dict[str, Any]) -> ChartSetup | None:
-    from usdskin.judge.charts import ChartSetup
+    from usdskin.judge.shoot.charts import ChartSetup
 
     names = {"chart": "chart", "chart_facing": "facing", "light_class": "light_class"}
     said = {field: given.pop(name) for name, field in names.items()}
@@ -225,7 +225,7 @@ def _chart(given: dict[str, Any]) -> ChartSetup | None:
 def _lens(given: dict[str, Any]) -> FisheyeLens:
     from dataclasses import replace
 
-    from usdskin.judge.setups import fisheye, lens_of_layer
+    from usdskin.judge.shoot.setups import fisheye, lens_of_layer
 
     layer, glare = given.pop("lens"), given.pop("glare")
     names = ("size", "projection", "fov", "vignetting")
@@ -237,14 +237,14 @@ def _lens(given: dict[str, Any]) -> FisheyeLens:
 
 
 def _exposures(given: dict[str, Any]) -> Exposures:
-    from usdskin.judge.sensor import exposure_series
+    from usdskin.judge.shoot.sensor import exposure_series
 
     names = ("exposures", "stops", "middle_s", "iso", "f_number", "nd")
     return exposure_series(*(given.pop(name) for name in names))
 
 
 def _sensor(given: dict[str, Any]) -> Sensor:
-    from usdskin.judge.sensor import Sensor
+    from usdskin.judge.shoot.sensor import Sensor
 
     bits, black = given.pop("bits"), given.pop("black_level")
     return Sensor(

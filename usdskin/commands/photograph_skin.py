@@ -65,8 +65,8 @@ def photograph_skin(
         usdskin estimate skin session/samples.usda -o skin.usda
     """
     with Reporter(options) as reporter:
-        from usdskin.judge.setups import Setup
-        from usdskin.judge.skin_photographs import SubjectSetup, lamps, photograph_subject
+        from usdskin.judge.shoot.setups import Setup
+        from usdskin.judge.skin.photographs import SubjectSetup, lamps, photograph_subject
 
         said: dict[str, Any] = {"camera": camera, "illuminant": illuminant, "seed": seed}
         setup = Setup(**{name: value for name, value in said.items() if value is not None})

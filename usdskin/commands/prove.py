@@ -12,8 +12,8 @@ from usdskin.commands.reporter import GlobalOptions, Reporter
 from usdskin.errors import EXIT_FINDINGS
 
 if TYPE_CHECKING:
-    from usdskin.judge.proof import Proof
-    from usdskin.judge.proof_record import StepRecord
+    from usdskin.judge.proof.prove import Proof
+    from usdskin.judge.proof.record import StepRecord
 
 _PATH = click.Path(path_type=Path)
 
@@ -108,8 +108,8 @@ def prove(
         usdskin prove stages/outdoor_sun -o ideal --capture ideal --integrator map --check
     """
     with Reporter(options) as reporter:
-        from usdskin.judge.proof import prove as run
-        from usdskin.judge.proof_options import ProofOptions, size_of
+        from usdskin.judge.proof.options import ProofOptions, size_of
+        from usdskin.judge.proof.prove import prove as run
         from usdskin.plots.budget import draw_budget
 
         numbers = ("solve_height", "fisheye", "exposures", "width", "samples")

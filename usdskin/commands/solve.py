@@ -42,7 +42,7 @@ def solve(
         usdskin solve stages/room_fluorescent/set.usda -o truth/light.usda
     """
     with Reporter(options) as reporter:
-        from usdskin.judge.solve import solve_set
+        from usdskin.judge.truth.solve import solve_set
 
         solved = solve_set(
             source,

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.judge.set_cells import Cells
-from usdskin.judge.set_geometry import Blockers, coordinates
+from usdskin.judge.truth.cells import Cells
+from usdskin.judge.truth.geometry import Blockers, coordinates
 
 FloatArray = NDArray[np.float64]
 

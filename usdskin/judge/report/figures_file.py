@@ -10,7 +10,7 @@ from dataclasses import asdict
 from typing import Any
 
 from usdskin import __version__
-from usdskin.judge.proof_record import finite
+from usdskin.judge.proof.record import finite
 from usdskin.judge.report.proof import Proof
 from usdskin.judge.report.quality import CaptureRow
 from usdskin.judge.report.records import Spread

@@ -1,0 +1,1 @@
+"""The whole chain on a set, against its truth."""

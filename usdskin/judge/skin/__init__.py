@@ -1,0 +1,1 @@
+"""Virtual measurements of a skin that is known."""

@@ -1,0 +1,1 @@
+"""The true light of a virtual set, by radiosity in double precision."""
