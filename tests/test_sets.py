@@ -32,9 +32,8 @@ def xyz_of(emission) -> np.ndarray:
 
 def dome_xyz(name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the light of a shot's dome as XYZ, and directions times solid angles."""
-    light = read_spectral_light(
-        open_stage(STAGES / name / "light.usda").GetPrimAtPath("/Light/Dome")
-    )
+    stage = open_stage(STAGES / name / "light.usda")
+    light = read_spectral_light(stage.GetPrimAtPath("/Light/Dome"))
     image = read_image(light.coefficients_file)
     order = [image.channel_names.index(f"c{k}") for k in range(len(light.basis))]
     spectra = light.basis @ xyz_weights(light.basis_wavelength_nm, absolute=True)

@@ -192,7 +192,7 @@ def main() -> None:
     )
     sun.CreateAngleAttr(SUN_DEG)
     sun.CreateIntensityAttr(1.0)
-    sun.AddRotateYXZOp().Set(Gf.Vec3f(-ELEVATION_DEG, TURN_DEG, 0.0))  # its +Z points to the sun
+    sun.AddRotateXYZOp().Set(Gf.Vec3f(-ELEVATION_DEG, TURN_DEG, 0.0))  # its +Z points to the sun
     coefficients, spectra = sky()
     dome = UsdLux.DomeLight.Define(stage, "/Set/Lights/sky/dome")
     dome.CreateTextureFileAttr(Sdf.AssetPath("./sky_rgb.exr"))
