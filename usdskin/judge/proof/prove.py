@@ -249,8 +249,8 @@ class _Street:
 
     def _photograph(self) -> None:
         place, options, progress = self.place, self.options, self.progress
-        shooting = shooting_of(options, options.faults)
         light = self.truth.light
+        shooting = shooting_of(options, options.faults, light)
         self._step(
             "photograph",
             "photograph the place",

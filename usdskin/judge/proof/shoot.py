@@ -20,7 +20,7 @@ from usdskin.judge.proof.options import Faults, ProofOptions
 from usdskin.judge.proof.place import Place
 from usdskin.judge.proof.record import Doing
 from usdskin.judge.shoot.charts import ChartSetup, photograph_chart, with_camera_of
-from usdskin.judge.shoot.photographer import photograph
+from usdskin.judge.shoot.photographer import photograph, plan
 from usdskin.judge.shoot.sensor import Sensor, exposure_series
 from usdskin.judge.shoot.setups import Setup, fisheye
 from usdskin.judge.shoot.shoot_layers import new_stage
@@ -31,6 +31,9 @@ from usdskin.progress import Progress
 # isort: split
 # After ours, which register the schemas.
 from pxr import UsdGeom
+
+_BRIGHTEST = 0.8
+"""What the brightest lamp is exposed to in the shortest exposure, relative to white."""
 
 VIEWS = "3+zenith"
 """Where the photographer means to look: the views of `usdskin ingest --views`."""
@@ -47,12 +50,17 @@ class Shooting:
     """The same as options of `usdskin photograph`."""
 
 
-def shooting_of(options: ProofOptions, faults: Faults) -> Shooting:
+def shooting_of(options: ProofOptions, faults: Faults, light: Path | None = None) -> Shooting:
     """Return how a proof photographs.
 
     Args:
         options: What the proof is told.
         faults: What goes wrong.
+        light: Light that is metered before it is photographed: the shortest exposure holds its
+            brightest lamp, be it the sun. None: the mean is exposed as usual.
+
+    Raises:
+        UsdSkinError: The light cannot be read.
     """
     size = options.size
     # The shutter and the f-number stay; the sensor is exposed for the place by the neutral filter
@@ -71,7 +79,16 @@ def shooting_of(options: ProofOptions, faults: Faults) -> Shooting:
         truth_height=size.solve_height,
         seed=options.seed,
     )
-    words: list[Any] = ["--camera", options.camera, "--size", size.fisheye]
+    if light is not None:
+        setup = replace(setup, middle=_metered(light, setup))
+    words: list[Any] = [
+        "--middle",
+        setup.middle,
+        "--camera",
+        options.camera,
+        "--size",
+        size.fisheye,
+    ]
     words += ["--exposures", size.exposures, "--stops", size.stops]
     words += ["--glare", faults.glare, "--stated-glare", 0.0]
     words += ["--vignetting-error", faults.vignetting, "--reading-error", options.scale_error]
@@ -79,6 +96,15 @@ def shooting_of(options: ProofOptions, faults: Faults) -> Shooting:
     words += ["--truth-height", size.solve_height, "--seed", options.seed]
     words += [] if faults.noise else ["--no-noise"]
     return Shooting(setup, tuple(f"{w:g}" if isinstance(w, float) else str(w) for w in words))
+
+
+def _metered(light: Path, setup: Setup) -> float:
+    """Return how bright the middle exposure is to be: darker than usual for the sun's sake."""
+    seen = plan(light, setup, []).light
+    shortest = setup.exposures_of(0).exposure
+    range_down = float(shortest[shortest.size // 2] / shortest.min())
+    holds = _BRIGHTEST * range_down * float(seen.mean()[1] / seen.peak()[:3].max())
+    return float(f"{min(setup.middle, holds):.3g}")
 
 
 def turned_views(error_deg: float, seed: int) -> tuple[tuple[float, float], ...]:

@@ -128,6 +128,12 @@ class Environment:
             total += solid_angle @ values
         return total / (4.0 * np.pi)
 
+    def peak(self) -> FloatArray:
+        """Return the largest response anywhere, shape [4]."""
+        found = [light.values.max(axis=(0, 1)).astype(np.float64) for light in self.maps]
+        found += [disc.values for disc in self.discs]
+        return np.max(found, axis=0) if found else np.zeros(CHANNEL_COUNT)
+
     def samples(self) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Yield light, shape [n, 4], and the solid angle it fills [sr], shape [n]."""
         for light in self.maps:
