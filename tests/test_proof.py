@@ -15,7 +15,7 @@ from usdskin.cli import main
 from usdskin.colorimetry import color_matching_functions
 from usdskin.errors import LayerError, UsageError
 from usdskin.images import read_image, read_spectral
-from usdskin.judge import proof as proof_module
+from usdskin.judge.proof import prove as proof_module
 from usdskin.judge.proof.bars import bars_of, light_bar
 from usdskin.judge.proof.budget import clipping_of, glare_of, rotation_of, vignetting_of
 from usdskin.judge.proof.options import ProofOptions, size_of

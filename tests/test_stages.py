@@ -183,7 +183,8 @@ def test_light_from_behind_passes_where_the_forearm_is_thin(tmp_path):
 @pytest.mark.parametrize("lamp", LAMPS)
 def test_the_portrait_renders_under_each_lamp(lamp, tmp_path):
     variant = f"/World/Light{{light={lamp}}}"
-    beauty = render(PORTRAIT, tmp_path / "out.exr", "-r", "64", "80", "--variant", variant)
+    flags = ("-r", "64", "80", "-p", "128", "--variant", variant)
+    beauty = render(PORTRAIT, tmp_path / "out.exr", *flags)
     assert np.isfinite(beauty).all()
     np.testing.assert_allclose(beauty[..., 3], 1.0, atol=1e-6)  # the backdrop fills the picture
     face = beauty[30:48, 22:34, :3].reshape(-1, 3)
