@@ -11,44 +11,22 @@ Writes: a folder; ``proof.json`` in it says what is where, and appears when all 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from usdskin.capture.step import CaptureOptions, capture_shoot
-from usdskin.errors import UsageError
-from usdskin.estimate.camera.step import CalibrationOptions, calibrate_camera
-from usdskin.estimate.light.step import estimate_light
-from usdskin.estimate.skin.step import estimate_skin
 from usdskin.judge.proof.bars import bars_of
 from usdskin.judge.proof.budget import judge_faults
+from usdskin.judge.proof.chain import Chain
 from usdskin.judge.proof.compare import compare_render
-from usdskin.judge.proof.fit import fit_options, goniometer_setup
-from usdskin.judge.proof.ideal import expose_exactly, measure_exactly
-from usdskin.judge.proof.light import (
-    TrueLight,
-    adopt_light,
-    classes_beside,
-    light_files,
-    solve_light,
-    true_light,
-)
+from usdskin.judge.proof.light import light_files
 from usdskin.judge.proof.options import ProofOptions
-from usdskin.judge.proof.place import Place
 from usdskin.judge.proof.real import is_real_shoot, prove_shoot
-from usdskin.judge.proof.record import Doing, Journal, StepRecord
+from usdskin.judge.proof.record import Doing, StepRecord
 from usdskin.judge.proof.render import develop_like, render_shot, render_words, spectral_of
-from usdskin.judge.proof.shoot import (
-    chart_seed,
-    ingest_options,
-    ingest_photographs,
-    shooting_of,
-    take_chart,
-    take_photographs,
-)
-from usdskin.judge.proof.shots import ShotParts, subject_and_tone, write_base, write_shot
-from usdskin.judge.proof.skin import SHOT_SKIN, even_skin, tones_of, write_true_skin
+from usdskin.judge.proof.shots import ShotParts, write_shot
+from usdskin.judge.proof.skin import SHOT_SKIN, tones_of
 from usdskin.judge.proof.spectra import (
     light_spectra,
     patch_spectra,
@@ -56,17 +34,13 @@ from usdskin.judge.proof.spectra import (
     skin_numbers,
     skin_spectra,
 )
+from usdskin.judge.proof.steps import Draw, Tell
 from usdskin.judge.proof.tones import judge_tone
-from usdskin.judge.skin.goniometer import read_goniometer
-from usdskin.layers import open_stage, used_files
-from usdskin.progress import Progress, SilentProgress
+from usdskin.progress import Progress
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM
 
 NAMES = ("truth", "light", "chain")
 """The shots: true light and skin; estimated light, true skin; estimated light and skin."""
-
-Tell = Callable[[StepRecord, bool], None]
-Draw = Callable[[Sequence[Mapping[str, Any]], Path], Path]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,33 +92,8 @@ def prove(
     return street.run()
 
 
-class _Street:
-    """The steps of one proof, each by its own method, in the order they are done."""
-
-    def __init__(
-        self,
-        folder: Path,
-        output: Path,
-        options: ProofOptions,
-        progress: Progress | None,
-        tell: Tell | None,
-        draw: Draw | None,
-    ) -> None:
-        options.check()
-        self.set_layer, self.shot = folder / "set.usda", folder / "shot.usda"
-        if not self.shot.is_file() or not (options.light or self.set_layer.is_file()):
-            raise UsageError(
-                f"{folder}: has no {'shot.usda' if not self.shot.is_file() else 'set.usda'}; a set "
-                "has both, see docs/proof.md"
-            )
-        self.options = options
-        self.progress = progress or SilentProgress()
-        self._tell, self._draw = tell, draw
-        self.place = Place(output)
-        self.base = self.place.shot("base")
-        self.journal = Journal(output, options.resume)
-        self.title = folder.resolve().name
-        self.truth: TrueLight = TrueLight(self.place.truth_light, {})
+class _Street(Chain):
+    """The whole proof: the chain, and what is judged of it."""
 
     def run(self) -> Proof:
         """Do all steps and write ``proof.json``."""
@@ -169,268 +118,6 @@ class _Street:
         content = self._content(pictures, comparisons, tones, budget)
         path = self.journal.finish(content)
         return Proof(path, tuple(self.journal.steps), content)
-
-    def _step(
-        self,
-        name: str,
-        title: str,
-        command: str,
-        reads: Sequence[Path],
-        run: Callable[[Doing], None],
-        settings: Mapping[str, Any] | None = None,
-        clears: Sequence[Path] = (),
-    ) -> StepRecord:
-        record = self.journal.step(
-            name, title, command, reads, run, settings=settings, clears=clears
-        )
-        self.progress.done()
-        if self._tell is not None:
-            self._tell(record, self.journal.kept(record))
-        return record
-
-    # --- The truth ----------------------------------------------------------------------------
-
-    def _true_light(self) -> None:
-        place, given = self.place, self.options.light
-        height = self.options.size.solve_height
-        if given is not None:
-            layers = [given, *classes_beside(given).values()]
-            record = self._step(
-                "solve",
-                "take the light that was solved before",
-                "",
-                [file for layer in layers for file in light_files(layer)],
-                lambda doing: adopt_light(given, place, doing),
-                clears=[place["truth"]],
-            )
-        else:
-            record = self._step(
-                "solve",
-                "solve the true light of the set",
-                place.command(
-                    "solve", self.set_layer, "-o", place.truth_light, "--height", str(height)
-                ),
-                used_files(open_stage(self.set_layer)),
-                lambda doing: solve_light(self.set_layer, place, height, self.progress, doing),
-                clears=[place["truth"]],
-            )
-        self.truth = true_light(place, record.facts["classes"])
-
-    def _base_shot(self) -> None:
-        variants = subject_and_tone(self.options.subject, self.options.tone)
-        self._step(
-            "shot",
-            "take the shot of the set",
-            "",
-            [self.shot, self.truth.light],
-            lambda doing: doing.writes.append(
-                write_base(self.shot, self.truth.light, variants, self.base)
-            ),
-            {f"{path}{{{name}}}": chosen for (path, name), chosen in variants.items()},
-        )
-
-    def _true_skin(self) -> None:
-        lustre, place = self.options.lustre, self.place
-
-        def run(doing: Doing) -> None:
-            skin = even_skin(self.base, lustre)
-            doing.writes.append(write_true_skin(skin, self.base, place.truth_skin))
-
-        self._step(
-            "skin",
-            "take the skin of the shot, the same everywhere",
-            "",
-            used_files(open_stage(self.base)),
-            run,
-            {"lustre": lustre},
-        )
-
-    # --- The shoot ----------------------------------------------------------------------------
-
-    def _photograph(self) -> None:
-        place, options, progress = self.place, self.options, self.progress
-        light = self.truth.light
-        shooting = shooting_of(options, options.faults, light)
-        self._step(
-            "photograph",
-            "photograph the place",
-            place.command("photograph", light, "-o", place.room, *shooting.options),
-            light_files(light),
-            lambda doing: take_photographs(
-                light, place, shooting, options.threads, progress, doing
-            ),
-            clears=[place.room],
-        )
-        for name, layer in self.truth.classes.items():
-            words: list[Any] = ["-o", place.chart(name).parent, "--camera", options.camera]
-            words += ["--same-camera", place.room, "--chart", options.chart, "--chart-only"]
-            words += ["--light-class", name, "--exposures", str(options.size.exposures)]
-            words += ["--stops", options.size.stops, "--stated-glare", "0"]
-            words += ["--vignetting-error", options.faults.vignetting]
-            words += ["--reading-error", options.scale_error]
-            words += ["--seed", str(chart_seed(options.seed, name))]
-            self._step(
-                f"chart-{name}",
-                f"photograph and measure a chart in the light of {name}",
-                place.command("photograph", layer, *words),
-                [*light_files(layer), place.room / "truth" / "truth.usda"],
-                lambda doing, name=name, layer=layer: take_chart(  # type: ignore[misc]
-                    layer, name, place, shooting, options.chart, options.threads, progress, doing
-                ),
-                clears=[place.chart(name).parent],
-            )
-        told, words = ingest_options(place, shooting)
-        photographs = [path for path in sorted(place.room.glob("view*/*")) if path.is_file()]
-        self._step(
-            "ingest",
-            "describe the photographs as a shoot",
-            place.command("ingest", place.room, "-o", place.shoot, *words),
-            [*photographs, place["shoot/lens.usda"]],
-            lambda doing: ingest_photographs(place, told, progress, doing),
-        )
-        self._step(
-            "capture",
-            "merge the photographs to a panorama",
-            place.command(
-                "capture", place.shoot, "-o", place["capture.usda"], "--refine-rotations"
-            ),
-            [place.shoot, place["shoot/lens.usda"], *photographs],
-            self._capture,
-        )
-
-    def _capture(self, doing: Doing) -> None:
-        given = CaptureOptions(
-            refine_rotations=True, device=self.options.device, threads=self.options.threads
-        )
-        result = capture_shoot(self.place.shoot, self.place["capture.usda"], given, self.progress)
-        doing.writes += result.paths
-        doing.notes += result.notes
-        doing.facts.update(result.report.as_dict())
-
-    def _expose_exactly(self) -> None:
-        place, options, progress = self.place, self.options, self.progress
-        setup = shooting_of(options, options.faults).setup
-        settings = {
-            "camera": options.camera,
-            "height": options.size.solve_height,
-            "scaleError": options.scale_error,
-            "chart": options.chart,
-        }
-        light = self.truth.light
-        exposed = self._step(
-            "capture",
-            "take the camera values of the true panorama",
-            "",
-            light_files(light),
-            lambda doing: _ignore(
-                expose_exactly(
-                    light, place["capture.usda"], setup, options.threads, progress, doing
-                )
-            ),
-            settings,
-        )
-        constant = exposed.facts["sensorConstant"]
-        for name, layer in self.truth.classes.items():
-            self._step(
-                f"chart-{name}",
-                f"take the camera values and the radiance of a chart in the light of {name}",
-                "",
-                light_files(layer),
-                lambda doing, name=name, layer=layer: measure_exactly(  # type: ignore[misc]
-                    layer,
-                    place.chart(name),
-                    setup,
-                    constant,
-                    name,
-                    options.chart,
-                    options.threads,
-                    progress,
-                    doing,
-                ),
-                {**settings, "constant": constant},
-            )
-
-    # --- The estimates ------------------------------------------------------------------------
-
-    def _calibrate(self) -> None:
-        place, options = self.place, self.options
-        charts = [place.chart(name) for name in self.truth.classes]
-        output = place["camera.usda"]
-
-        def run(doing: Doing) -> None:
-            given = CalibrationOptions(
-                estimator=options.estimator, device=options.device, threads=options.threads
-            )
-            result = calibrate_camera(charts, output, given, self.progress)
-            doing.writes.append(result.path)
-            doing.notes += result.notes
-            doing.facts["recoveries"] = [
-                {
-                    "class": recovery.light_class,
-                    "condition": recovery.condition,
-                    "identityError": recovery.identity_error,
-                    "looGfc": recovery.loo_gfc,
-                    "looDeltaE2000": recovery.loo_delta_e_2000,
-                }
-                for recovery in result.camera.recoveries
-            ]
-
-        pictures = [file for chart in charts for file in sorted(chart.parent.glob("chart/*"))]
-        self._step(
-            "camera",
-            "calibrate the camera against the charts",
-            place.command(
-                "calibrate", "camera", *charts, "-o", output, "--estimator", options.estimator
-            ),
-            [*charts, *pictures],
-            run,
-        )
-
-    def _estimate_light(self) -> None:
-        place = self.place
-        capture, camera, output = place["capture.usda"], place["camera.usda"], place["light.usda"]
-
-        def run(doing: Doing) -> None:
-            result = estimate_light(capture, camera, output, progress=self.progress)
-            doing.writes += result.paths
-            doing.notes += result.notes
-
-        pictures = [place[name] for name in ("panorama.exr", "stddev.exr")]
-        self._step(
-            "light",
-            "estimate the light",
-            place.command("estimate", "light", capture, "--camera", camera, "-o", output),
-            [capture, camera, *(picture for picture in pictures if picture.exists())],
-            run,
-        )
-
-    def _measure_skin(self) -> None:
-        place, options = self.place, self.options
-        samples, output = place["samples.usda"], place["skin.usda"]
-        setup = goniometer_setup(options)
-        words = ["--polarisers", setup.polarisers, "--seed", str(options.seed)]
-        self._step(
-            "goniometer",
-            "measure the skin with a goniometer",
-            place.command("goniometer", place.truth_skin, "-o", samples, *words),
-            [place.truth_skin],
-            lambda doing: doing.writes.append(read_goniometer(place.truth_skin, samples, setup)),
-        )
-        given = fit_options(read_material(place.truth_skin)[0], options)
-
-        def run(doing: Doing) -> None:
-            result = estimate_skin(samples, output, given, self.progress)
-            doing.writes.append(result.path)
-            doing.notes += result.notes
-
-        words = ["--specular", given.specular, "--opacity", given.opacity]
-        self._step(
-            "skin-fit",
-            "estimate the skin",
-            place.command("estimate", "skin", samples, "-o", output, *words),
-            [samples],
-            run,
-        )
 
     # --- The judgement ------------------------------------------------------------------------
 
@@ -655,7 +342,3 @@ class _Street:
             "budget": budget,
             "bars": bars_of(comparisons, self.options, len(truth.classes) > 1),
         }
-
-
-def _ignore(_value: object) -> None:
-    """Take a value that nobody asked for."""

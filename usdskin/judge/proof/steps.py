@@ -1,0 +1,64 @@
+"""What all steps of a proof share: its place, its journal, and who is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from usdskin.errors import UsageError
+from usdskin.judge.proof.light import TrueLight
+from usdskin.judge.proof.options import ProofOptions
+from usdskin.judge.proof.place import Place
+from usdskin.judge.proof.record import Doing, Journal, StepRecord
+from usdskin.progress import Progress, SilentProgress
+
+Tell = Callable[[StepRecord, bool], None]
+Draw = Callable[[Sequence[Mapping[str, Any]], Path], Path]
+
+
+class Steps:
+    """What all steps of one proof share."""
+
+    def __init__(
+        self,
+        folder: Path,
+        output: Path,
+        options: ProofOptions,
+        progress: Progress | None,
+        tell: Tell | None,
+        draw: Draw | None,
+    ) -> None:
+        options.check()
+        self.set_layer, self.shot = folder / "set.usda", folder / "shot.usda"
+        if not self.shot.is_file() or not (options.light or self.set_layer.is_file()):
+            raise UsageError(
+                f"{folder}: has no {'shot.usda' if not self.shot.is_file() else 'set.usda'}; a set "
+                "has both, see docs/proof.md"
+            )
+        self.options = options
+        self.progress = progress or SilentProgress()
+        self._tell, self._draw = tell, draw
+        self.place = Place(output)
+        self.base = self.place.shot("base")
+        self.journal = Journal(output, options.resume)
+        self.title = folder.resolve().name
+        self.truth: TrueLight = TrueLight(self.place.truth_light, {})
+
+    def _step(
+        self,
+        name: str,
+        title: str,
+        command: str,
+        reads: Sequence[Path],
+        run: Callable[[Doing], None],
+        settings: Mapping[str, Any] | None = None,
+        clears: Sequence[Path] = (),
+    ) -> StepRecord:
+        record = self.journal.step(
+            name, title, command, reads, run, settings=settings, clears=clears
+        )
+        self.progress.done()
+        if self._tell is not None:
+            self._tell(record, self.journal.kept(record))
+        return record
