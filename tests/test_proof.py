@@ -109,26 +109,20 @@ def test_no_estimator_reads_the_truth(proved):
 
 
 def test_estimators_give_the_same_without_the_truth_on_the_disk(proved, monkeypatch, tmp_path):
-    output, proof = proved
+    made, proof = proved
+    output = tmp_path / "out"
+    shutil.copytree(made, output, ignore=shutil.ignore_patterns("truth"))
     monkeypatch.chdir(output)
-    hidden = [path for path in output.rglob("truth") if path.is_dir()]
-    before = {name: (output / name).read_bytes() for name in ("light.coefficients.exr",)}
+    assert any(path.is_dir() for path in made.rglob("truth"))
+    before = (output / "light.coefficients.exr").read_bytes()
     skin = proof["layers"]["skin"]
     numbers = [line for line in (output / skin).read_text().splitlines() if "double[]" in line]
-    for index, path in enumerate(hidden):
-        path.rename(tmp_path / f"hidden{index}")
-    try:
-        for name in ESTIMATORS:
-            command = steps_of(proof)[name]["command"]
-            words = shlex.split(command)[1:]
-            assert main(["-q", *words]) == 0, command
-    finally:
-        for index, path in enumerate(hidden):
-            (tmp_path / f"hidden{index}").rename(path)
+    for name in ESTIMATORS:
+        command = steps_of(proof)[name]["command"]
+        words = shlex.split(command)[1:]
+        assert main(["-q", *words]) == 0, command
 
-    assert hidden
-    for name, content in before.items():
-        assert (output / name).read_bytes() == content
+    assert (output / "light.coefficients.exr").read_bytes() == before
     again = [line for line in (output / skin).read_text().splitlines() if "double[]" in line]
     assert again == numbers
 
