@@ -170,8 +170,10 @@ def test_an_interrupted_proof_goes_on_where_it_ended(tmp_path, monkeypatch):
 def test_command_refuses_what_is_no_set(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
 
-    assert main(["prove", str(tmp_path / "empty"), "-o", str(tmp_path / "out")]) == 2
-    assert "shot.usda" in capsys.readouterr().err
+    for name, says in (("empty", "no shot.usda and no set.usda"), ("nowhere", "no such folder")):
+        assert main(["prove", str(tmp_path / name), "-o", str(tmp_path / "out")]) == 3
+        assert says in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_command_names_the_variants_that_there_are(tmp_path, capsys):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from usdskin.errors import UsageError
+from usdskin.errors import LayerError
 from usdskin.judge.proof.light import TrueLight
 from usdskin.judge.proof.options import ProofOptions
 from usdskin.judge.proof.place import Place
@@ -31,10 +31,13 @@ class Steps:
     ) -> None:
         options.check()
         self.set_layer, self.shot = folder / "set.usda", folder / "shot.usda"
-        if not self.shot.is_file() or not (options.light or self.set_layer.is_file()):
-            raise UsageError(
-                f"{folder}: has no {'shot.usda' if not self.shot.is_file() else 'set.usda'}; a set "
-                "has both, see docs/proof.md"
+        wanted = [self.shot, *([] if options.light else [self.set_layer])]
+        missing = [layer.name for layer in wanted if not layer.is_file()]
+        if missing:
+            what = f"has no {' and no '.join(missing)}" if folder.is_dir() else "no such folder"
+            raise LayerError(
+                f"{folder}: {what}; name a set (set.usda and shot.usda) or a shoot (shoot.usda and "
+                "charts), see docs/proof.md"
             )
         self.options = options
         self.progress = progress or SilentProgress()

@@ -109,9 +109,11 @@ def find_skin(stage: Usd.Stage, material: str | None = None) -> Usd.Prim:
     if default and default.HasAPI("SkinMaterialAPI"):
         return default
     skins = [prim for prim in stage.Traverse() if prim.HasAPI("SkinMaterialAPI")]
-    if len(skins) != 1:
+    if not skins:
+        raise LayerError(f"{name}: has no Material with SkinMaterialAPI; give a layer with a skin")
+    if len(skins) > 1:
         raise LayerError(
-            f"{name}: has {len(skins)} Materials with SkinMaterialAPI; name the one to measure"
+            f"{name}: has {len(skins)} Materials with SkinMaterialAPI; name one by --material"
         )
     return skins[0]
 
