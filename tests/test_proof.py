@@ -21,7 +21,8 @@ from usdskin.judge.proof.budget import clipping_of, glare_of, rotation_of, vigne
 from usdskin.judge.proof.options import ProofOptions, size_of
 from usdskin.judge.proof.prove import prove
 from usdskin.judge.proof.record import JOURNAL_NAME, PROOF_NAME, Journal
-from usdskin.judge.proof.shoot import turned_views
+from usdskin.judge.proof.shoot import shooting_of, turned_views
+from usdskin.judge.shoot.photographer import plan
 from usdskin.latlong import texel_solid_angles
 
 ESTIMATORS = ("ingest", "capture", "camera", "light", "skin-fit")
@@ -165,6 +166,39 @@ def test_an_interrupted_proof_goes_on_where_it_ended(tmp_path, monkeypatch):
         tell=lambda step, was_kept: kept.update({step.name: was_kept}),
     )
     assert kept["camera"] and not kept["light"]
+
+
+SUN = """
+def Xform "Light"
+{
+    def DistantLight "Sun" (
+        prepend apiSchemas = ["SpectralLightAPI", "SpectralDistributionAPI:emission"]
+    )
+    {
+        float inputs:angle = 0.53
+        float inputs:intensity = 1
+        uniform token inputs:spectral:source = "tabulated"
+        uniform token inputs:spectral:units = "absolute"
+        uniform token spectrum:emission:quantity = "irradiance"
+        double[] spectrum:emission:values = [%s, %s]
+        uniform double[] spectrum:emission:wavelengths = [380, 780]
+    }
+}
+"""
+
+
+def test_the_shortest_exposure_holds_the_sun_and_a_room_is_exposed_as_usual(tmp_path):
+    room = write_set(tmp_path / "set", ("tubes",))
+    options = ProofOptions(size=size_of("preview"))
+    assert shooting_of(options, options.faults, room).setup.middle == 0.18
+
+    (tmp_path / "sun.usda").write_text("#usda 1.0\n" + SUN % (1.3, 1.3))
+    setup = shooting_of(options, options.faults, tmp_path / "sun.usda").setup
+    seen = plan(tmp_path / "sun.usda", setup, [])
+    (disc,) = seen.light.discs
+    shortest = setup.exposures_of(0).exposure.min()
+    brightest = seen.constant * shortest * disc.values[:3].max()
+    assert brightest == pytest.approx(0.8, rel=0.01)
 
 
 def test_command_refuses_what_is_no_set(tmp_path, capsys):
