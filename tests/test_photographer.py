@@ -39,7 +39,7 @@ from usdskin.judge.shoot.sensor import Sensor, exposure_list, exposure_series
 from usdskin.judge.shoot.setups import lens_of_layer
 from usdskin.judge.shoot.shoot_layers import even_direction, luminance_weights, read_truth, spot
 from usdskin.judge.shoot.viewpoints import THREE_LEVEL, rotation_about, rotation_of
-from usdskin.latlong import latlong_coordinates, texel_directions
+from usdskin.latlong import latlong_coordinates, texel_directions, texel_solid_angles
 from usdskin.layers import open_stage
 from usdskin.prims import FisheyeLens, read_shoot, write_lens
 from usdskin.render.lights import read_lights
@@ -243,6 +243,26 @@ def test_panorama_shows_a_lamp_of_a_z_up_stage_at_its_pole():
     rows, columns = np.nonzero(panorama(environment, 90)[..., 0])
     assert 42 <= rows.min() and rows.max() <= 47
     assert set(columns) <= {0, 1, 2, 177, 178, 179}
+
+
+@pytest.mark.parametrize("half_angle_deg", [0.05, 0.2665, 3.0, 40.0])
+@pytest.mark.parametrize("direction", [Y, (0.3, 0.67, -0.5), (0.0, 0.0, -1.0)])
+def test_panorama_keeps_the_flux_and_the_place_of_a_disc(half_angle_deg, direction):
+    direction = np.asarray(direction) / np.linalg.norm(direction)
+    lamp = lamp_at(direction, half_angle_deg)
+    seen = panorama(lamp, 90)[..., 0]
+    flux = seen * texel_solid_angles(90, 180)[:, None]
+    (disc,) = lamp.discs
+    assert flux.sum() == pytest.approx(disc.solid_angle * disc.values[0], rel=1e-12)
+    middle = np.einsum("ij,ijk->k", flux, texel_directions(90, 180))
+    assert np.arccos(min(middle @ direction / np.linalg.norm(middle), 1.0)) < np.radians(1.5)
+    inside = np.radians(half_angle_deg - 3.0)
+    if inside > 0.0:
+        covered = texel_directions(90, 180) @ direction > np.cos(inside)
+        covered[:15] = covered[-15:] = False  # texels at the poles are small, and so noisy
+        assert covered.any()
+        assert np.allclose(seen[covered], disc.values[0], rtol=0.15)
+        assert seen[covered].mean() == pytest.approx(disc.values[0], rel=2e-3)
 
 
 def test_panorama_of_a_map_at_its_own_size_is_the_map():

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from usdskin.device import Workers
 from usdskin.errors import LayerError
 from usdskin.judge.shoot.sensitivity import CameraSensitivity
 from usdskin.latlong import (
+    latlong_coordinates,
     latlong_directions,
     latlong_from_world,
     texel_directions,
@@ -101,6 +102,11 @@ class Environment:
         """Size of the smallest thing to be seen: a texel, or a quarter of a disc [rad]."""
         sizes = [math.pi / light.values.shape[0] for light in self.maps]
         return min(sizes + [0.5 * disc.half_angle for disc in self.discs], default=math.pi)
+
+    @property
+    def without_discs(self) -> Environment:
+        """Its domes alone."""
+        return replace(self, discs=())
 
     def look(self, directions: FloatArray, world_from: FloatArray) -> NDArray[np.float64]:
         """Return what is seen in some directions.
@@ -316,8 +322,9 @@ def panorama(
     Returns:
         Responses of R, G, B and luminance, shape [height, 2 * height, 4].
     """
+    domes = environment.without_discs
     # Two samples across every texel of the light, and at least four, in each direction.
-    count = max(4, math.ceil(2.0 * math.pi / height / environment.detail))
+    count = max(4, math.ceil(2.0 * math.pi / height / domes.detail))
     world_from = environment.panorama_from_world.T
     edges = np.cos(np.arange(height + 1) * np.pi / height)
     columns = np.arange(2 * height)
@@ -333,11 +340,37 @@ def panorama(
                 directions = latlong_directions(
                     turns, np.arccos(np.broadcast_to(sine, turns.shape))
                 )
-                seen = environment.look(np.moveaxis(directions, -1, 0), world_from)
+                seen = domes.look(np.moveaxis(directions, -1, 0), world_from)
                 result[row] += seen.sum(axis=0)
 
     workers.run(height, 8, rows, advance)
-    return result / count**2
+    result /= count**2
+    for disc in environment.discs:
+        _add_disc(disc, result, environment.panorama_from_world)
+    return result
+
+
+def _add_disc(disc: LightDisc, picture: FloatArray, panorama_from_world: FloatArray) -> None:
+    """Add a disc to a latlong picture, every bit of its flux."""
+    height, width = picture.shape[:2]
+    sizes = texel_solid_angles(height, width)
+    count = int(np.clip(256.0 * disc.solid_angle / sizes.max(), 4096, 2**22))
+    index = np.arange(count) + 0.5
+    # A spiral in equal steps of solid angle, a golden angle apart.
+    cosine = 1.0 - index / count * 2.0 * math.sin(0.5 * disc.half_angle) ** 2
+    sine, turn = np.sqrt(1.0 - cosine**2), index * math.pi * (3.0 - math.sqrt(5.0))
+    middle = panorama_from_world @ disc.direction
+    across = np.cross(middle, np.eye(3)[np.argmin(np.abs(middle))])
+    across /= np.linalg.norm(across)
+    frame = np.stack([across, np.cross(middle, across), middle])
+    u, v = latlong_coordinates(
+        np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1) @ frame
+    )
+    rows = np.minimum((v * height).astype(np.int64), height - 1)
+    columns = (u * width).astype(np.int64) % width
+    hits = np.bincount(rows * width + columns, minlength=height * width).reshape(height, width)
+    covered = hits * (disc.solid_angle / count) / sizes[:, None]
+    picture += covered[..., None] * disc.values
 
 
 def pixel_shifts(
