@@ -21,6 +21,7 @@ from usdskin.colorimetry import (
 )
 from usdskin.errors import ImageError, LayerError, UsageError, UsdSkinError
 from usdskin.estimate.light.assigned import AssignOptions, assign_light
+from usdskin.estimate.light.captured import _parted
 from usdskin.estimate.light.light_map import LightMap
 from usdskin.estimate.light.quality import light_quality
 from usdskin.estimate.light.step import LightOptions, estimate_light
@@ -528,8 +529,26 @@ def test_without_a_map_the_classes_are_estimated_and_written(tmp_path):
     channels = [f"c{index}" for index in range(6)]
     coefficients = read_image(tmp_path / "light.coefficients.exr", channels=channels).pixels
     panorama = read_image(tmp_path / "panorama.exr").pixels
-    product = weights[..., :, None] * panorama[..., None, :]
-    assert relative(coefficients, product.reshape(HEIGHT, WIDTH, 6)) < 1e-3
+    assert relative(coefficients.reshape(HEIGHT, WIDTH, 2, 3).sum(axis=2), panorama) < 1e-3
+
+
+def test_what_is_grey_in_mixed_light_is_parted_into_the_lamps_own_camera_values():
+    lamps = np.array([lamp("A"), lamp("D65")]) @ responsivity()
+    luminance = np.array([lamp("A"), lamp("D65")]) @ xyz_weights(NM)[:, 1]
+    lamps /= luminance[:, None]
+    shares = np.random.default_rng(4).random((3, 5, 1))
+    shares = np.concatenate([shares, 1.0 - shares], axis=-1)
+    reflected = np.array([0.4, 0.4, 0.4])
+    seen = (shares @ lamps) * reflected
+    parts = _parted(seen, shares, lamps).reshape(3, 5, 2, 3)
+    assert np.allclose(parts, shares[..., None] * lamps * 0.4, rtol=1e-6)
+
+
+def test_parting_keeps_the_camera_values_of_any_color():
+    rng = np.random.default_rng(5)
+    block, lamps = rng.random((4, 6, 3)), rng.random((3, 3)) + 0.1
+    shares = rng.dirichlet(np.ones(3), (4, 6))
+    assert np.allclose(_parted(block, shares, lamps).reshape(4, 6, 3, 3).sum(2), block, rtol=1e-6)
 
 
 # --- The sums ------------------------------------------------------------------------------------

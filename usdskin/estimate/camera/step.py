@@ -21,7 +21,13 @@ from usdskin.device import open_workers
 from usdskin.errors import LayerError, UsageError
 from usdskin.estimate.camera.patches import Darkroom, UsedPatches, read_patches
 from usdskin.estimate.chart.layouts import LAYOUTS
-from usdskin.estimate.recovery import Training, estimate_responsivity, in_one_unit, recover
+from usdskin.estimate.recovery import (
+    Training,
+    estimate_responsivity,
+    in_one_unit,
+    recover,
+    without_stray_light,
+)
 from usdskin.layers import check_output, open_stage, record_provenance, used_files, write_layer
 from usdskin.notes import Note
 from usdskin.prims import (
@@ -212,12 +218,14 @@ def _calibrate(
     try:
         if charts[0].units == "relative":
             trainings = in_one_unit(trainings)
+        trainings, stray = without_stray_light(trainings)
         responsivity = estimate_responsivity(trainings)
         recoveries = tuple(recover(item, responsivity, estimator) for item in trainings)
     except ValueError as error:
         where = " and ".join(chart.where for chart in charts)
         raise LayerError(f"{where}: cannot be calibrated from: {error}") from None
-    for chart, recovery in zip(charts, recoveries, strict=True):
+    for chart, recovery, training, offset in zip(charts, recoveries, trainings, stray, strict=True):
+        _note_stray_light(chart, training, offset, notes)
         _note_doubts(chart, recovery, notes)
     settings = [chart.iso for chart in charts if chart.iso is not None]
     return SpectralCamera(
@@ -232,7 +240,8 @@ def _calibrate(
         white_balance=charts[0].white_balance,
         iso=np.unique(np.concatenate(settings)) if settings else None,
         charts=tuple(
-            _chart_as_used(chart, item, grid) for chart, item in zip(charts, used, strict=True)
+            _chart_as_used(chart, item, training.camera_values, grid)
+            for chart, item, training in zip(charts, used, trainings, strict=True)
         ),
     )
 
@@ -272,14 +281,32 @@ def _note_doubts(chart: ColorChart, recovery: Recovery, notes: list[Note]) -> No
         )
 
 
-def _chart_as_used(chart: ColorChart, used: UsedPatches, grid: FloatArray) -> ColorChart:
+def _note_stray_light(
+    chart: ColorChart, training: Training, offset: FloatArray, notes: list[Note]
+) -> None:
+    if offset.any():
+        share = 100.0 * offset / training.camera_values.max(axis=0)
+        notes.append(
+            Note(
+                "stray-light",
+                chart.where,
+                f"all patches have {share[0]:.2f}, {share[1]:.2f} and {share[2]:.2f} % of the "
+                "lightest one's R, G and B too much for their spectra, as glare gives; it is "
+                "subtracted",
+            )
+        )
+
+
+def _chart_as_used(
+    chart: ColorChart, used: UsedPatches, camera_values: FloatArray, grid: FloatArray
+) -> ColorChart:
     """Return the patches that went into a calibration, in the layer itself."""
     return ColorChart(
         name=chart.name or (LAYOUTS[chart.layout].name if chart.layout else ""),
         layout=chart.layout,
         light_class=used.light_class,
         patches=used.names,
-        camera_values=used.camera_values,
+        camera_values=camera_values,
         wavelength_nm=grid,
         signals=np.maximum(used.signals, 0.0),
         illuminant=Spectrum(

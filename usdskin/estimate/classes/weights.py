@@ -4,8 +4,9 @@ What shines is one lamp, and is recognised by its chromaticity. Surfaces mix lam
 own color hides the light's; but surfaces average out to nearly grey (Buchsbaum, "A spatial
 processor model for object colour perception", 1980), all the more when bright ones count more
 (Finlayson and Trezzi, "Shades of gray and colour constancy", 2004). So their light is estimated
-from averages over a wide neighbourhood, as mixtures of the calibrated lamps, starting from what
-the lamps in sight give.
+from averages over a neighbourhood, as mixtures of the calibrated lamps, starting from what the
+lamps in sight give. What has just the chromaticity of a lamp counts as in sight too, however dark:
+it is the lamp (a clear sky), or grey and in its light alone.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _CELL_ROWS = 128
 _MEETING_ROWS = 32  # of the map on which surfaces' light is estimated; it is smooth
 _SOURCE_RADIUS = 0.05  # [rad], within which what shines is one lamp
 _NEAR = 1e-4  # of the brightest, blurred so: some 12 degrees from the edge of a lamp
-_SURFACE_RADIUS = 0.5  # [rad], over which surfaces average out
+_SURFACE_RADIUS = 0.25  # [rad], over which surfaces average out
 _LIT, _LAMP = 2.0, 4.0  # times a white surface: a surface still, and surely a lamp
 _DIRECTION_COUNT = 128
 _MOST_MIXTURES = 500
@@ -39,7 +40,7 @@ _MOST_MIXTURES = 500
 # How much the evidence weighs, in surfaces of independent color.
 _SOURCE_SURFACES = 32.0  # lamps of a class scatter by a sixth of what surfaces do
 _WORLD_SURFACES = 8.0
-_NEAR_SURFACES = 6.0
+_NEAR_SURFACES = 12.0
 _PRIOR_SURFACES = 4.0
 _UNSEEN_FLUX = 0.05  # of all light: what lamps out of sight are granted beforehand
 
@@ -202,18 +203,31 @@ def _surface_shares(surfaces: FloatArray, lamps: Lamps, flux: FloatArray) -> Flo
     sums = np.zeros((*shape, 3))
     add_cells(sums, surfaces, slice(0, rows), rows)
     near = smooth(sums, _SURFACE_RADIUS)
-    known = near[..., 2:]
-    if not known.max() > 0.0:
+    if not near[..., 2].max() > 0.0:
         return np.full((*shape, len(lamps.names)), 1.0 / len(lamps.names))
-    color = near[..., :2] / np.maximum(known, 1e-9 * known.max())
+    color = _mean_color(near)
     size = texel_solid_angles(*shape)[:, None, None]
     world = (color * size).sum(axis=(0, 1)) / (shape[1] * size.sum())
 
     mixtures = _mixtures(len(lamps.names))
     expected = chromaticity(mixtures @ lamps.camera_values) + lamps.surface_mean
-    prior = flux + _UNSEEN_FLUX / len(flux)
+    prior = flux + (1.0 - flux.sum()) * _plain_shares(sums, lamps) + _UNSEEN_FLUX / len(flux)
     prior = _mean_mixture(world, _WORLD_SURFACES, prior / prior.sum(), mixtures, expected, lamps)
     return _mean_mixture(color, _NEAR_SURFACES, prior, mixtures, expected, lamps)
+
+
+def _mean_color(sums: FloatArray) -> FloatArray:
+    """Return the mean chromaticity of sums like those of ``_Sums.surfaces``."""
+    known = sums[..., 2:]
+    return np.asarray(sums[..., :2] / np.maximum(known, 1e-9 * known.max()))
+
+
+def _plain_shares(sums: FloatArray, lamps: Lamps) -> FloatArray:
+    """Return what share of surfaces' light has just the chromaticity of each lamp, shape [K]."""
+    distance = _SOURCE_SURFACES * _squared_distance(_mean_color(sums), lamps.chromaticities, lamps)
+    likeness = np.exp(-0.5 * distance)
+    of_class = likeness * _normalized(-0.5 * distance)
+    return np.asarray(np.einsum("ij,ijk->k", sums[..., 2], of_class) / sums[..., 2].sum())
 
 
 def _mixtures(class_count: int) -> FloatArray:

@@ -128,10 +128,13 @@ def captured_map(
 ) -> LightMap:
     """Return the light that the calibration recovers from a capture.
 
-    Coefficient 3k + j is weight k times channel j of the panorama, whose pixels are rho times the
-    capture's scale; so row 3k + j of the basis is column j of class k's recovery matrix divided by
-    that scale. Noise in the dark can give a texel camera values that no light has, and a spectrum
-    with less than no energy: such texels are black.
+    Coefficient 3k + j is what class k gives to channel j of the panorama, whose pixels are rho
+    times the capture's scale; so row 3k + j of the basis is column j of class k's recovery matrix
+    divided by that scale. Where classes meet, a surface is taken to reflect them alike in each
+    channel (J. von Kries, 1902): they give to channel j in proportion to their shares of luminance
+    times the camera value that their light has of that luminance. Noise in the dark can give a
+    texel camera values that no light has, and a spectrum with less than no energy: such texels are
+    black.
 
     Args:
         capture: The capture.
@@ -142,12 +145,16 @@ def captured_map(
     """
     height, width = panorama_size(capture)
     basis = np.concatenate([recovery.matrix.T for recovery in mixture.recoveries])
+    lamps = None if mixture.weights is None else _lamp_values(camera, mixture)
 
     energy = basis.sum(axis=1).astype(np.float32)
 
     def blocks() -> Iterable[tuple[int, FloatImage]]:
         for begin, block in _panorama_rows(capture, height, width):
-            coefficients = _weighted(block, begin, mixture.weights)
+            coefficients = block
+            if mixture.weights is not None and lamps is not None:
+                shares = mixture.weights[begin : begin + block.shape[0]]
+                coefficients = _parted(block, shares, lamps)
             dark = coefficients @ energy < 0.0
             darkened[begin] = int(np.count_nonzero(dark))
             if darkened[begin]:
@@ -165,12 +172,27 @@ def captured_map(
     )
 
 
-def _weighted(block: FloatImage, begin: int, weights: FloatImage | None) -> FloatImage:
-    if weights is None:
-        return block
-    shares = weights[begin : begin + block.shape[0]]
-    product = shares[..., :, None] * block[..., None, :]
-    return np.asarray(product.reshape(*block.shape[:2], -1))
+def _lamp_values(camera: SpectralCamera, mixture: Mixture) -> FloatImage:
+    """Return the camera values of every class's lamp at luminance 1, shape [classes, 3]."""
+    from usdskin.estimate.classes import read_lamps
+
+    lamps = read_lamps(camera)
+    rows = [lamps.names.index(name) for name in mixture.names]
+    return np.asarray(lamps.camera_values[rows], np.float32)
+
+
+def _parted(block: FloatImage, shares: FloatImage, lamps: FloatImage) -> FloatImage:
+    """Return camera values parted by class, shape [height, width, 3 classes]; their sum stays.
+
+    Args:
+        block: Camera values, shape [height, width, 3].
+        shares: Of the classes in luminance, shape [height, width, classes].
+        lamps: Of ``_lamp_values``.
+    """
+    light = shares @ lamps
+    reflected = block / np.where(light > 0.0, light, np.float32(1.0))
+    parts = shares[..., :, None] * lamps * reflected[..., None, :]
+    return np.asarray(parts.reshape(*block.shape[:2], -1), np.float32)
 
 
 def _panorama_rows(

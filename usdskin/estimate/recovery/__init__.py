@@ -1,7 +1,7 @@
 """From camera values to spectra: the generalised inverses, and how good they are.
 
-``estimate_responsivity`` tells what the camera sees, ``recover`` how its values become spectra in
-one class of light, by one of these estimators:
+``without_stray_light`` frees a chart of glare, ``estimate_responsivity`` tells what the camera
+sees, ``recover`` how its values become spectra in one class of light, by one of these estimators:
 
 ``regression``  the chart is the prior: ridge regression of spectra on camera values (default)
 ``literal``     the paper as printed, two pseudo-inverses: a baseline that noise ruins
@@ -20,6 +20,7 @@ from usdskin.estimate.recovery.responsivity import (
     estimate_responsivity,
     in_one_unit,
 )
+from usdskin.estimate.recovery.stray import without_stray_light
 from usdskin.estimate.recovery.training import Training
 
 __all__ = [
@@ -29,4 +30,5 @@ __all__ = [
     "estimate_responsivity",
     "in_one_unit",
     "recover",
+    "without_stray_light",
 ]
