@@ -3,7 +3,8 @@
 Every set is proved (``usdskin prove``) with exact camera values (recovery alone), with a realistic
 capture, and with a realistic capture whose readings err by 3 %, by the default and by the paper's
 literal estimator. The light of a set is solved once. Rendered by map, which has no noise, so that
-what is told is the estimates' error; ``--traced`` adds traced pictures.
+what is told is the estimates' error; ``--traced`` adds traced pictures. ``--seeds`` repeats
+realistic captures with other noise, rotations and corners.
 
 Colour difference: CIEDE2000, CIE 1931 2 degrees, on the pixels of skin; Y and white are those of a
 perfect diffuser at the truth's brightest irradiance.
@@ -43,8 +44,9 @@ def rows(arguments: argparse.Namespace, folder: Path) -> Iterator[dict[str, Any]
         light: Path | None = None
         for camera in arguments.cameras:
             for estimator in arguments.estimators:
-                for condition, given in CONDITIONS.items():
+                for condition, given, seed in _draws(arguments.seeds, estimator):
                     tones = arguments.tones and condition == "realistic" and estimator != "literal"
+                    tones = tones and seed == 0
                     options = ProofOptions(
                         **given,
                         estimator=estimator,
@@ -52,6 +54,7 @@ def rows(arguments: argparse.Namespace, folder: Path) -> Iterator[dict[str, Any]
                         size=size_of(arguments.size),
                         subject=arguments.subject,
                         camera=camera,
+                        seed=seed,
                         light=light,
                         tones=tones,
                     )
@@ -61,6 +64,7 @@ def rows(arguments: argparse.Namespace, folder: Path) -> Iterator[dict[str, Any]
                         "camera": camera,
                         "condition": condition,
                         "estimator": estimator,
+                        "seed": seed,
                     }
                     try:
                         proof = prove(STAGES / name, output, options)
@@ -79,6 +83,43 @@ def rows(arguments: argparse.Namespace, folder: Path) -> Iterator[dict[str, Any]
                         "comparisons": content["comparisons"],
                         "tones": content["tones"],
                     }
+
+
+def _draws(seeds: int, estimator: str) -> Iterator[tuple[str, dict[str, Any], int]]:
+    """Yield conditions; those with noise as often as is asked for, the baseline once."""
+    for condition, given in CONDITIONS.items():
+        is_noisy = given["capture"] != "ideal" and estimator != "literal"
+        for seed in range(seeds if is_noisy else 1):
+            yield condition, given, seed
+
+
+def summary(kept: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield a table of what all draws gave: mean of the means (least to largest), p95, largest."""
+    yield "| set | camera | capture | picture | mean (draws) | p95 | max | GFC | literal | missed |"
+    yield "|---|---|---|---|---|---|---|---|---|---|"
+    groups: dict[tuple[str, ...], list[tuple[dict[str, Any], list[dict[str, Any]]]]] = {}
+    literal: dict[tuple[str, ...], str] = {}
+    for row in kept:
+        key = row["set"], row["camera"], row["condition"]
+        for found in row.get("comparisons", ()):
+            whole = *key, f"{found['name']}, {found['integrator']}"
+            if row["estimator"] == "literal":
+                literal[whole] = f"{found['result']['deltaE2000']['mean']:.1f}"
+                continue
+            bars = [bar for bar in row["bars"] if bar["name"].startswith(whole[-1])]
+            groups.setdefault(whole, []).append((found["result"], bars))
+        if "refused" in row and row["estimator"] == "literal":
+            literal |= {whole: "refused" for whole in groups if whole[:3] == key}
+    for whole, draws in groups.items():
+        means = [result["deltaE2000"]["mean"] for result, _ in draws]
+        span = f" ({min(means):.2f} to {max(means):.2f})" if len(means) > 1 else ""
+        p95, largest = (max(r["deltaE2000"][name] for r, _ in draws) for name in ("p95", "max"))
+        gfc = min(result["spectral"]["gfc"] for result, _ in draws)
+        missed = sum(not all(bar["met"] for bar in bars) for _, bars in draws)
+        yield (
+            f"| {' | '.join(whole)} | {sum(means) / len(means):.2f}{span} | {p95:.2f} | "
+            f"{largest:.2f} | {gfc:.4f} | {literal.get(whole, '')} | {missed} of {len(draws)} |"
+        )
 
 
 def show(row: dict[str, Any]) -> str:
@@ -122,6 +163,7 @@ def main() -> int:
     parser.add_argument("--estimators", nargs="+", default=list(ESTIMATORS))
     parser.add_argument("--cameras", nargs="+", default=[PROOF_CAMERA])
     parser.add_argument("--subject", default="bust")
+    parser.add_argument("--seeds", type=int, default=1, help="draws of realistic captures")
     parser.add_argument("--traced", action="store_true")
     parser.add_argument("--tones", action="store_true")
     parser.add_argument("--json", type=Path, help="write the rows here too")
@@ -138,6 +180,7 @@ def main() -> int:
             print(show(row), flush=True)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+    print("", *summary(kept), sep="\n")
     if arguments.json:
         arguments.json.write_text(json.dumps(kept, indent=1))
     return 0
