@@ -430,6 +430,7 @@ def test_picture_that_is_small_enough_keeps_its_pixels():
 
 
 @pytest.mark.realdata
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PANORAMAS)
 @pytest.mark.parametrize("of", ["three and zenith", "back to back"])
 def test_real_places_align_to_a_twentieth_of_a_degree(realdata, name, of):
