@@ -5,8 +5,14 @@ from __future__ import annotations
 import warp as wp
 
 from usdskin.warp_kernels.diffuse import first_lamp
-from usdskin.warp_kernels.lookup import PI, frame_coordinates, lookup_fresnel, lookup_gloss
-from usdskin.warp_kernels.reflection import Reflection, deposit
+from usdskin.warp_kernels.lookup import (
+    PI,
+    frame_coordinates,
+    lookup_fresnel,
+    lookup_gloss,
+    lookup_lustre,
+)
+from usdskin.warp_kernels.reflection import Reflection, deposit, fresnel_rise
 from usdskin.warp_kernels.structs import Film, Lights, Materials
 from usdskin.warp_kernels.surface import Point
 
@@ -33,15 +39,14 @@ def ggx(alpha: wp.float32, nh: wp.float32, nl: wp.float32, nv: wp.float32) -> wp
 
 @wp.func
 def _lobe(
-    lights: Lights, group: wp.int32, alpha: wp.float32, point: Point, nv: wp.float32,
-    coordinates: wp.vec2f, tint: wp.float32, white: wp.float32,
+    lights: Lights, group: wp.int32, alpha: wp.float32, point: Point, r: Reflection,
+    coordinates: wp.vec2f, part: wp.float32, index: wp.float32, tint: wp.float32,
+    white: wp.float32,
 ) -> wp.vec4f:  # fmt: skip
-    """Return light reflected by one GGX lobe with Fresnel tint F0 + white (1 - F0) Schlick.
+    """Return light reflected by one GGX lobe with Fresnel tint F0 + white (1 - F0) rise.
 
-    ``tint`` and ``white`` select the two parts: F0 times x, and y, of the directional albedo.
+    ``tint`` and ``white`` select the two parts; ``part`` is their directional albedo.
     """
-    response = lookup_fresnel(lights, alpha, nv)
-    part = tint * response[0] + white * response[1]
     total = part * lookup_gloss(lights, group, alpha, coordinates)
     for k in range(first_lamp(lights, group), lights.gloss_end[group]):
         toward = lights.lamp_center[k]
@@ -50,10 +55,19 @@ def _lobe(
             half = wp.normalize(toward + point.view)
             size = wp.length(lights.lamp_azimuth[k])
             wide = wp.clamp(alpha + 0.5 * size, 1.0e-3, 1.0)
-            rise = wp.pow(1.0 - wp.clamp(wp.dot(point.view, half), 0.0, 1.0), 5.0)
-            lobe = ggx(wide, wp.dot(point.normal, half), nl, nv)
+            rise = fresnel_rise(index, r.f0, wp.dot(point.view, half))
+            lobe = ggx(wide, wp.dot(point.normal, half), nl, r.nv)
             total += (lobe * (tint * (1.0 - rise) + white * rise)) * lights.lamp_flux[k]
     return total
+
+
+@wp.func
+def _albedo(lights: Lights, materials: Materials, alpha: wp.float32, r: Reflection) -> wp.float32:
+    """Return the directional albedo of an untinted lobe."""
+    if r.index > 0.0:
+        return lookup_lustre(materials, r.lustre, alpha, r.nv)
+    response = lookup_fresnel(lights, alpha, r.nv)
+    return r.f0 * response[0] + response[1]
 
 
 @wp.func
@@ -80,15 +94,26 @@ def shade_gloss(
     y = float(0.0)
     for g in range(groups):
         toward = frame_coordinates(lights, g, mirror, toward)
-        light = (1.0 - r.second) * _lobe(lights, g, r.alpha, point, r.nv, toward, r.f0, 1.0)
+        part = _albedo(lights, materials, r.alpha, r)
+        light = (1.0 - r.second) * _lobe(
+            lights, g, r.alpha, point, r, toward, part, r.index, r.f0, 1.0
+        )
         if r.second > 0.0:
-            light += r.second * _lobe(lights, g, r.second_alpha, point, r.nv, toward, r.f0, 1.0)
+            part = _albedo(lights, materials, r.second_alpha, r)
+            light += r.second * _lobe(
+                lights, g, r.second_alpha, point, r, toward, part, r.index, r.f0, 1.0
+            )
         light = r.shine * light
         if r.coat > 0.0:
-            light += r.coat * _lobe(lights, g, r.coat_alpha, point, r.nv, toward, 0.04, 1.0)
+            response = lookup_fresnel(lights, r.coat_alpha, r.nv)
+            part = 0.04 * response[0] + response[1]
+            light += r.coat * _lobe(
+                lights, g, r.coat_alpha, point, r, toward, part, 0.0, 0.04, 1.0
+            )
         y += deposit(materials, film, pixel, m, row + g, light)
         if r.tints > 0:
-            light = r.shine * _lobe(lights, g, r.alpha, point, r.nv, toward, 1.0, 0.0)
+            part = lookup_fresnel(lights, r.alpha, r.nv)[0]
+            light = r.shine * _lobe(lights, g, r.alpha, point, r, toward, part, 0.0, 1.0, 0.0)
             for j in range(r.tints):
                 at = row + (1 + j) * groups + g
                 y += deposit(materials, film, pixel, m, at, r.tint[wp.min(j, 3)] * light)
