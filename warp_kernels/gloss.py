@@ -40,34 +40,44 @@ def ggx(alpha: wp.float32, nh: wp.float32, nl: wp.float32, nv: wp.float32) -> wp
 @wp.func
 def _lobe(
     lights: Lights, group: wp.int32, alpha: wp.float32, point: Point, r: Reflection,
-    coordinates: wp.vec2f, part: wp.float32, index: wp.float32, tint: wp.float32,
-    white: wp.float32,
+    coordinates: wp.vec2f, width: wp.float32, part: wp.float32, index: wp.float32,
+    tint: wp.float32, white: wp.float32,
 ) -> wp.vec4f:  # fmt: skip
     """Return light reflected by one GGX lobe with Fresnel tint F0 + white (1 - F0) rise.
 
-    ``tint`` and ``white`` select the two parts; ``part`` is their directional albedo.
+    ``tint`` and ``white`` select the two parts; ``part`` is their directional albedo,
+    ``width`` q of what is prefiltered.
     """
-    total = part * lookup_gloss(lights, group, alpha, coordinates)
+    total = part * lookup_gloss(lights, group, width * alpha, coordinates)
     for k in range(first_lamp(lights, group), lights.gloss_end[group]):
         toward = lights.lamp_center[k]
         nl = wp.dot(point.normal, toward)
         if nl > 0.0:
             half = wp.normalize(toward + point.view)
-            size = wp.length(lights.lamp_azimuth[k])
-            wide = wp.clamp(alpha + 0.5 * size, 1.0e-3, 1.0)
-            rise = fresnel_rise(index, r.f0, wp.dot(point.view, half))
+            between = wp.max(wp.dot(point.view, half), 1.0e-3)
+            # As wide as a lobe that shows a lamp much larger than itself at the lamp's radiance.
+            size = wp.length(lights.lamp_azimuth[k]) * wp.length(lights.lamp_elevation[k])
+            wide = wp.sqrt(alpha * alpha + size / (4.0 * PI * between))
+            wide = wp.clamp(wide, 1.0e-3, 1.0)
+            rise = fresnel_rise(index, r.f0, between)
             lobe = ggx(wide, wp.dot(point.normal, half), nl, r.nv)
             total += (lobe * (tint * (1.0 - rise) + white * rise)) * lights.lamp_flux[k]
     return total
 
 
 @wp.func
-def _albedo(lights: Lights, materials: Materials, alpha: wp.float32, r: Reflection) -> wp.float32:
-    """Return the directional albedo of an untinted lobe."""
+def _response(lights: Lights, materials: Materials, alpha: wp.float32, r: Reflection) -> wp.vec3f:
+    """Return an untinted lobe's directional albedo, k and q."""
     if r.index > 0.0:
         return lookup_lustre(materials, r.lustre, alpha, r.nv)
     response = lookup_fresnel(lights, alpha, r.nv)
-    return r.f0 * response[0] + response[1]
+    return wp.vec3f(r.f0 * response[0] + response[1], response[2], response[3])
+
+
+@wp.func
+def _around(point: Point, nv: wp.float32, k: wp.float32) -> wp.vec3f:
+    """Return the mean direction of a lobe."""
+    return wp.normalize((2.0 * nv + k) * point.normal - point.view)
 
 
 @wp.func
@@ -89,31 +99,37 @@ def shade_gloss(
     m = point.material
     groups = lights.group_count
     row = first_glossy_row(lights, materials, m)
-    mirror = wp.normalize(2.0 * r.nv * point.normal - point.view)
-    toward = wp.vec2f(0.0, 0.0)
+    one = _response(lights, materials, r.alpha, r)
+    two = _response(lights, materials, r.second_alpha, r)
+    coat = lookup_fresnel(lights, r.coat_alpha, r.nv)
+    plain = lookup_fresnel(lights, r.alpha, r.nv)
+    first = wp.vec2f(0.0, 0.0)
+    second = wp.vec2f(0.0, 0.0)
+    third = wp.vec2f(0.0, 0.0)
     y = float(0.0)
     for g in range(groups):
-        toward = frame_coordinates(lights, g, mirror, toward)
-        part = _albedo(lights, materials, r.alpha, r)
+        first = frame_coordinates(lights, g, _around(point, r.nv, one[1]), first)
         light = (1.0 - r.second) * _lobe(
-            lights, g, r.alpha, point, r, toward, part, r.index, r.f0, 1.0
+            lights, g, r.alpha, point, r, first, one[2], one[0], r.index, r.f0, 1.0
         )
         if r.second > 0.0:
-            part = _albedo(lights, materials, r.second_alpha, r)
+            second = frame_coordinates(lights, g, _around(point, r.nv, two[1]), second)
             light += r.second * _lobe(
-                lights, g, r.second_alpha, point, r, toward, part, r.index, r.f0, 1.0
+                lights, g, r.second_alpha, point, r, second, two[2], two[0], r.index, r.f0, 1.0
             )
         light = r.shine * light
         if r.coat > 0.0:
-            response = lookup_fresnel(lights, r.coat_alpha, r.nv)
-            part = 0.04 * response[0] + response[1]
+            second = frame_coordinates(lights, g, _around(point, r.nv, coat[2]), second)
+            part = 0.04 * coat[0] + coat[1]
             light += r.coat * _lobe(
-                lights, g, r.coat_alpha, point, r, toward, part, 0.0, 0.04, 1.0
+                lights, g, r.coat_alpha, point, r, second, coat[3], part, 0.0, 0.04, 1.0
             )
         y += deposit(materials, film, pixel, m, row + g, light)
         if r.tints > 0:
-            part = lookup_fresnel(lights, r.alpha, r.nv)[0]
-            light = r.shine * _lobe(lights, g, r.alpha, point, r, toward, part, 0.0, 1.0, 0.0)
+            third = frame_coordinates(lights, g, _around(point, r.nv, plain[2]), third)
+            light = r.shine * _lobe(
+                lights, g, r.alpha, point, r, third, plain[3], plain[0], 0.0, 1.0, 0.0
+            )
             for j in range(r.tints):
                 at = row + (1 + j) * groups + g
                 y += deposit(materials, film, pixel, m, at, r.tint[wp.min(j, 3)] * light)

@@ -133,8 +133,8 @@ def _albedo_place(
 
 
 @wp.func
-def lookup_fresnel(lights: Lights, alpha: wp.float32, cosine: wp.float32) -> wp.vec2f:
-    """Return (x, y): a GGX lobe's directional albedo is F0 x + y (Schlick's Fresnel)."""
+def lookup_fresnel(lights: Lights, alpha: wp.float32, cosine: wp.float32) -> wp.vec4f:
+    """Return (x, y, k, q): a GGX lobe's directional albedo is F0 x + y (Schlick's Fresnel)."""
     rows = lights.fresnel.shape[0]
     columns = lights.fresnel.shape[1]
     at = _albedo_place(alpha, cosine, rows, columns)
@@ -150,19 +150,19 @@ def lookup_fresnel(lights: Lights, alpha: wp.float32, cosine: wp.float32) -> wp.
 @wp.func
 def lookup_lustre(
     materials: Materials, k: wp.int32, alpha: wp.float32, cosine: wp.float32
-) -> wp.float32:
-    """Return the directional albedo of a GGX lobe of the k-th dielectric."""
-    rows = materials.lustre_albedo.shape[1]
-    columns = materials.lustre_albedo.shape[2]
+) -> wp.vec3f:
+    """Return the directional albedo of a GGX lobe of the k-th dielectric, its k and q."""
+    rows = materials.lustre.shape[1]
+    columns = materials.lustre.shape[2]
     at = _albedo_place(alpha, cosine, rows, columns)
     i = wp.min(wp.int32(at[0]), rows - 2)
     j = wp.min(wp.int32(at[1]), columns - 2)
     fy = at[0] - wp.float32(i)
     fx = at[1] - wp.float32(j)
-    top = (1.0 - fx) * materials.lustre_albedo[k, i, j]
-    top += fx * materials.lustre_albedo[k, i, j + 1]
-    bottom = (1.0 - fx) * materials.lustre_albedo[k, i + 1, j]
-    bottom += fx * materials.lustre_albedo[k, i + 1, j + 1]
+    top = (1.0 - fx) * materials.lustre[k, i, j]
+    top += fx * materials.lustre[k, i, j + 1]
+    bottom = (1.0 - fx) * materials.lustre[k, i + 1, j]
+    bottom += fx * materials.lustre[k, i + 1, j + 1]
     return (1.0 - fy) * top + fy * bottom
 
 

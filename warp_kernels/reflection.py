@@ -48,7 +48,7 @@ class Reflection:
     """Refractive index of their surface; 0 where Schlick's Fresnel is used."""
 
     lustre: wp.int32
-    """Which of ``Materials.lustre_albedo`` is theirs, where there is an index."""
+    """Which of ``Materials.lustre`` is theirs, where there is an index."""
 
     coat: wp.float32
     coat_alpha: wp.float32

@@ -87,8 +87,8 @@ def reflect_skin(
         r.alpha = widened(lobes[1], point.relief_variance)
         r.second_alpha = widened(lobes[2], point.relief_variance)
         r.second = lobes[3]
-        albedo = (1.0 - r.second) * lookup_lustre(materials, r.lustre, r.alpha, r.nv)
-        albedo += r.second * lookup_lustre(materials, r.lustre, r.second_alpha, r.nv)
+        albedo = (1.0 - r.second) * lookup_lustre(materials, r.lustre, r.alpha, r.nv)[0]
+        albedo += r.second * lookup_lustre(materials, r.lustre, r.second_alpha, r.nv)[0]
         r.shine = weight * lobes[0]
         r.diffuse = weight * (1.0 - lobes[0] * albedo)
     if materials.passage_rank[m] > 0:

@@ -14,7 +14,7 @@ from usdskin import compilation
 from usdskin.device import Workers
 from usdskin.render.environment import group_count, refined
 from usdskin.render.lights import DomeLight, Lights
-from usdskin.render.lobe_albedo import schlick_albedo
+from usdskin.render.lobe_albedo import schlick_response
 from usdskin.warp_kernels import specular, structs
 
 LADDER = (0.0, 0.0025, 0.01, 0.04, 0.09, 0.16, 0.25, 0.36, 0.49, 0.64, 1.0)
@@ -42,7 +42,7 @@ def add_reflections(
         workers: Where to compute.
     """
     device = workers.device
-    field.fresnel = wp.array(schlick_albedo(), dtype=wp.vec2f, device=device)
+    field.fresnel = wp.array(schlick_response(), dtype=wp.vec4f, device=device)
     groups = int(field.group_count)
     offsets = np.full((max(1, len(alphas)), groups), -1, np.int32)
     rows = np.zeros_like(offsets)

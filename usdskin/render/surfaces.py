@@ -17,7 +17,7 @@ from usdskin import fresnel
 from usdskin.colorimetry import illuminant, xyz_to_rgb, xyz_weights
 from usdskin.render.detail import check_normal_map, frames_of
 from usdskin.render.inputs import PrimvarInput, TextureInput
-from usdskin.render.lobe_albedo import TABLE_SIZE, dielectric_albedo
+from usdskin.render.lobe_albedo import TABLE_SIZE, dielectric_response
 from usdskin.render.materials import SkinMaterial, SurfaceMaterial
 from usdskin.render.memory import available_bytes
 from usdskin.render.relief import slopes, unit_normals
@@ -200,7 +200,7 @@ def _upload(
             slot[m, which] = slots.add(value, len(row.bases) if weighed else 0, which)
             if which == structs.INPUT_NORMAL and isinstance(value, TextureInput):
                 check_normal_map(value)
-    albedos = _lustre_albedos(rows)
+    lustre = _lustre_tables(rows)
     counts = np.array([len(row.rows) for row in rows], np.int32)
     spectra = np.concatenate([np.stack(row.rows) for row in rows])
     weights = xyz_weights(frame.wavelength_nm, frame.observer, frame.absolute)
@@ -227,7 +227,7 @@ def _upload(
     target.row_part = ints(np.concatenate([row_parts(row) for row in rows]))
     target.flags = ints([row.flags for row in rows])
     target.constant = floats(np.stack([row.constant for row in rows]), wp.vec4f)
-    target.lustre_albedo = floats(albedos, wp.float32)
+    target.lustre = floats(lustre, wp.vec3f)
     target.slot = ints(slot)
     target.slot_texture, target.slot_primvar = ints(slots.texture), ints(slots.primvar)
     target.slot_channel = ints(slots.channel)
@@ -254,16 +254,16 @@ def _upload(
     return Surfaces(target, int(counts.max()), tuple(row.bases @ to_rgb for row in rows))
 
 
-def _lustre_albedos(rows: list[MaterialRows]) -> FloatArray:
-    """Return the albedo tables of all skins' lobes, and tell each material which one is its own."""
+def _lustre_tables(rows: list[MaterialRows]) -> FloatArray:
+    """Return the tables of all skins' lobes, and tell each material which one is its own."""
     skins = [row for row in rows if row.kind == SKIN and row.flags & GLOSSY]
     found = sorted({float(row.constant[structs.INPUT_SPECULAR, 0]) for row in skins})
     for row in skins:
         f0 = float(row.constant[structs.INPUT_SPECULAR, 0])
         row.constant[structs.INPUT_SPECULAR, 1:3] = found.index(f0), fresnel.index_of(f0)
     if not found:
-        return np.zeros((1, *TABLE_SIZE))
-    return np.stack([dielectric_albedo(f0) for f0 in found])
+        return np.zeros((1, *TABLE_SIZE, 3))
+    return np.stack([dielectric_response(f0) for f0 in found])
 
 
 def _passages(rows: list[MaterialRows]) -> tuple[FloatArray, FloatArray]:
