@@ -50,18 +50,27 @@ def _lobe(
     """
     total = part * lookup_gloss(lights, group, width * alpha, coordinates)
     for k in range(first_lamp(lights, group), lights.gloss_end[group]):
-        toward = lights.lamp_center[k]
-        nl = wp.dot(point.normal, toward)
-        if nl > 0.0:
-            half = wp.normalize(toward + point.view)
-            between = wp.max(wp.dot(point.view, half), 1.0e-3)
-            # As wide as a lobe that shows a lamp much larger than itself at the lamp's radiance.
-            size = wp.length(lights.lamp_azimuth[k]) * wp.length(lights.lamp_elevation[k])
-            wide = wp.sqrt(alpha * alpha + size / (4.0 * PI * between))
-            wide = wp.clamp(wide, 1.0e-3, 1.0)
-            rise = fresnel_rise(index, r.f0, between)
-            lobe = ggx(wide, wp.dot(point.normal, half), nl, r.nv)
-            total += (lobe * (tint * (1.0 - rise) + white * rise)) * lights.lamp_flux[k]
+        azimuth = lights.lamp_azimuth[k]
+        elevation = lights.lamp_elevation[k]
+        # As wide as a lobe that shows a lamp much larger than itself at the lamp's radiance.
+        spread = wp.length(azimuth) * wp.length(elevation) / PI
+        parts = wp.where(spread > 0.1 * alpha * alpha, 2, 1)
+        split = 0.5 * wp.float32(parts - 1)
+        spread = spread / wp.float32(parts * parts)
+        reflected = float(0.0)
+        for q in range(parts * parts):
+            u = split * (2.0 * wp.float32(q % parts) - wp.float32(parts - 1))
+            v = split * (2.0 * wp.float32(q / parts) - wp.float32(parts - 1))
+            toward = wp.normalize(lights.lamp_center[k] + u * azimuth + v * elevation)
+            nl = wp.dot(point.normal, toward)
+            if nl > 0.0:
+                half = wp.normalize(toward + point.view)
+                between = wp.max(wp.dot(point.view, half), 1.0e-3)
+                wide = wp.clamp(wp.sqrt(alpha * alpha + spread / between), 1.0e-3, 1.0)
+                rise = fresnel_rise(index, r.f0, between)
+                lobe = ggx(wide, wp.dot(point.normal, half), nl, r.nv)
+                reflected += lobe * (tint * (1.0 - rise) + white * rise)
+        total += (reflected / wp.float32(parts * parts)) * lights.lamp_flux[k]
     return total
 
 

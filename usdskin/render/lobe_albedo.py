@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 TABLE_SIZE = (33, 32)
 """Rows over the roughness and columns over the cosine of the view angle, 0 to 1 each."""
 
-_DIRECTIONS = 512
+_DIRECTIONS = 256
 
 _NARROWEST = 0.5
 """Least q: as narrow as what ``gloss_alphas`` has prefiltered."""

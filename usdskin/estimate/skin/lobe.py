@@ -21,7 +21,7 @@ FloatArray = NDArray[np.float64]
 F0 = 0.028
 """Reflectance at normal incidence [1] of a surface of index 1.4."""
 
-_ROUGHNESS_ROWS, _COSINE_COLUMNS, _DIRECTIONS = 33, 32, 512
+_ROUGHNESS_ROWS, _COSINE_COLUMNS, _DIRECTIONS = 33, 32, 256
 _LEAST_ALPHA = 1e-3
 
 
