@@ -62,13 +62,8 @@ def _passed(
     own = int(-1)
     if materials.kind[m] == 1:
         own = places.prim[at]
-    limit = materials.passage_limit[m]
-    if places.solid != 0 and (own < 0 or (limit > 0.0 and limit < THINNEST * origin.gap)):
-        if not wp.mesh_query_ray_anyhit(geometry.mesh, origin.position, toward, FAR):
-            result.clear = 1.0
-        return result
     result = cross_bodies(
-        geometry, materials, origin, toward, FAR, own, limit, LightLinks(), -1
+        geometry, materials, origin, toward, FAR, own, materials.passage_limit[m], LightLinks(), -1
     )
     result.clear = wp.round(255.0 * result.clear)
     if result.clear <= 0.0:
@@ -85,6 +80,7 @@ def _measure_kernel(
     places: Places,
     direction: wp.array[wp.vec3f],
     beside: wp.array2d[wp.int32],
+    near: wp.array2d[wp.int32],
     place: wp.array[wp.int32],
     around: wp.array2d[wp.int32],
     first: wp.int32,
@@ -108,6 +104,7 @@ def _measure_kernel(
         places: Where to look from.
         direction: Where to look, shape [direction_count].
         beside: Directions beside each, shape [direction_count, n].
+        near: Words that hold the directions beside those of a word, shape [word_count, m].
         place: Place of every row of this level.
         around: Places around each that are measured already, shape [rows, n].
         first: The first row.
@@ -140,28 +137,46 @@ def _measure_kernel(
         partial[at, word] = wp.uint32(0)
     if some == wp.uint32(0):
         return
+    m = places.material[at]
+    normal = places.normal[at]
+    origin = _off_surface(lifted(places.position[at], normal))
+    horizon = places.horizon[at]
+    limit = materials.passage_limit[m]
+    # Where anything at all blocks a ray, it ends at the first triangle found.
+    blocks = limit > 0.0 and limit < THINNEST * origin.gap
+    blocks = places.solid != 0 and (materials.kind[m] != 1 or blocks)
     count = int(0)
-    bits = wp.uint32(0)
-    part = wp.uint32(0)
-    for d in range(direction.shape[0]):
-        word = d / 32
-        bit = wp.uint32(1) << wp.uint32(d % 32)
-        if d % 32 == 0:
+    for word in range(weakened.shape[1]):
+        some = mixed[row, word]
+        for k in range(near.shape[1]):
+            some = some | mixed[row, near[word, k]]
+        if some != wp.uint32(0):
             bits = weakened[at, word]
             part = wp.uint32(0)
-        follow = mixed[row, word] & bit
-        for k in range(beside.shape[1]):
-            other = beside[d, k]
-            follow = follow | ((mixed[row, other / 32] >> wp.uint32(other % 32)) & wp.uint32(1))
-        if follow != wp.uint32(0):
-            count += 1
-            found = _passed(geometry, materials, places, at, direction[d])
-            bits = bits & (~bit)
-            if found.clear < 1.0 or found.length > 0.0:
-                bits = bits | bit
-                if found.clear > 0.0:
-                    part = part | bit
-        if d % 32 == 31 or d == direction.shape[0] - 1:
+            for d in range(32 * word, wp.min(32 * word + 32, direction.shape[0])):
+                bit = wp.uint32(1) << wp.uint32(d % 32)
+                follow = mixed[row, word] & bit
+                for k in range(beside.shape[1]):
+                    other = beside[d, k]
+                    shifted = mixed[row, other / 32] >> wp.uint32(other % 32)
+                    follow = follow | (shifted & wp.uint32(1))
+                if follow != wp.uint32(0):
+                    found = Crossing()
+                    if blocks:
+                        if wp.dot(normal, direction[d]) > horizon:
+                            count += 1
+                            if not wp.mesh_query_ray_anyhit(
+                                geometry.mesh, origin.position, direction[d], FAR
+                            ):
+                                found.clear = 1.0
+                    else:
+                        count += 1
+                        found = _passed(geometry, materials, places, at, direction[d])
+                    bits = bits & (~bit)
+                    if found.clear < 1.0 or found.length > 0.0:
+                        bits = bits | bit
+                        if found.clear > 0.0:
+                            part = part | bit
             weakened[at, word] = bits
             partial[at, word] = part
     rays[first + row] = count
@@ -450,6 +465,7 @@ def measure(
     places: Places,
     direction: wp.array,
     beside: wp.array,
+    near: wp.array,
     place: wp.array,
     around: wp.array,
     weakened: wp.array,
@@ -465,7 +481,7 @@ def measure(
         _measure_kernel,
         dim=end - begin,
         inputs=[
-            geometry, materials, places, direction, beside, place, around, begin, mixed,
+            geometry, materials, places, direction, beside, near, place, around, begin, mixed,
         ],
         outputs=[weakened, partial, rays],
         device=weakened.device,

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from usdskin import compilation
 from usdskin.device import Workers, open_workers, vec3
@@ -31,8 +32,8 @@ from usdskin.render.scene import Scene, read_scene
 from usdskin.render.settings import RenderSettings, read_settings
 from usdskin.render.surface_rows import body_reach
 from usdskin.render.transfer_file import MeshTransfer, kept, write_transfers
-from usdskin.render.transfer_levels import Level, beside, levels_of
-from usdskin.render.transfer_points import Places, geometry_hashes, places_of
+from usdskin.render.transfer_levels import Level, beside, levels_of, words_near
+from usdskin.render.transfer_points import Places, facet_spread, geometry_hashes, places_of
 from usdskin.render.transfer_sphere import WORD, TransferSphere, ring_count, transfer_sphere
 from usdskin.render.uploading import upload_bodies
 from usdskin.warp_kernels import structs, transfer, transfer_structs
@@ -251,12 +252,9 @@ def _measure(
         where.normal = vec3(part.normal, device)
         where.material = wp.array(slots[part.slot], dtype=wp.int32, device=device)
         where.prim = wp.full(len(part.point), index[id(mesh)], dtype=wp.int32, device=device)
-        # Skin is lit from behind too, as far as its wrap reaches, which may change.
-        is_skin = np.array(
-            [isinstance(scene.materials[slot], SkinMaterial) for slot in slots], np.bool_
-        )[part.slot]
-        lowest = np.where(is_skin, -2.0, -part.spread - 1e-3).astype(np.float32)
-        where.horizon = wp.array(lowest, dtype=wp.float32, device=device)
+        where.horizon = wp.array(
+            _horizons(scene, mesh, part, slots[part.slot], solid), dtype=wp.float32, device=device
+        )
         where.solid = int(solid)
         levels = levels_of(mesh.points[part.point], part.normal)
         measured = _Measuring(geometry, materials, where, device_directions, sphere, workers)
@@ -269,6 +267,29 @@ def _measure(
     return found, rays
 
 
+def _horizons(
+    scene: Scene, mesh: MeshArrays, places: Places, material: NDArray[np.int32], solid: bool
+) -> NDArray[np.float32]:
+    """Return the cosine with a place's normal below which no light arrives, shape [count].
+
+    Skin is lit from behind too, as far as its wrap reaches, which may change; not where its body
+    lets nothing through.
+    """
+    shading = -places.spread - np.float32(1e-3)
+    lowest = np.full(len(shading), -2.0, np.float32)
+    is_skin = np.array([isinstance(each, SkinMaterial) for each in scene.materials])[material]
+    lowest[~is_skin] = shading[~is_skin]
+    reach = np.array([
+        body_reach(each, scene.frame.wavelength_nm) if isinstance(each, SkinMaterial) else 0.0
+        for each in scene.materials
+    ])[material]  # fmt: skip
+    size = np.abs(mesh.points[places.point]).max(axis=1)
+    thinnest = float(transfer.THINNEST) * 4e-6 * np.maximum(size, 1e-3)
+    blocks = is_skin & (reach > 0.0) & (reach < thinnest) & solid
+    lowest[blocks] = np.minimum(shading, -facet_spread(mesh, places) - np.float32(1e-3))[blocks]
+    return lowest
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Measuring:
     """One mesh under way."""
@@ -276,8 +297,8 @@ class _Measuring:
     geometry: structs.Geometry
     materials: structs.Materials
     places: transfer_structs.Places
-    directions: tuple[wp.array, wp.array]
-    """The directions, and those beside each."""
+    directions: tuple[wp.array, wp.array, wp.array]
+    """The directions, those beside each, and the words that hold those beside a word's."""
 
     sphere: TransferSphere
     workers: Workers
@@ -333,9 +354,17 @@ class _Measuring:
         self.workers.run(count, _CHUNK if self.workers.device == "cpu" else count, work)
 
 
-def _device_directions(sphere: TransferSphere, device: str) -> tuple[wp.array, wp.array]:
+def _device_directions(
+    sphere: TransferSphere, device: str
+) -> tuple[wp.array, wp.array, wp.array]:
     used = sphere.direction[: sphere.count]
-    return vec3(used, device), wp.array(beside(used), dtype=wp.int32, device=device)
+    others = beside(used)
+    near = words_near(others, WORD)
+    return (
+        vec3(used, device),
+        wp.array(others, dtype=wp.int32, device=device),
+        wp.array(near, dtype=wp.int32, device=device),
+    )
 
 
 def _is_solid(geometry: structs.Geometry, materials: structs.Materials) -> bool:

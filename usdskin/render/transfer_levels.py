@@ -80,6 +80,25 @@ def beside(directions: NDArray[np.float32]) -> NDArray[np.int32]:
     return np.asarray(found[:, 1:], np.int32)
 
 
+def words_near(others: NDArray[np.int32], size: int) -> NDArray[np.int32]:
+    """Return the words that hold the directions beside those of each word.
+
+    Args:
+        others: Directions beside each (``beside``).
+        size: Directions in a word.
+
+    Returns:
+        Words, the word itself where there are fewer, shape [word_count, most].
+    """
+    count = -(-len(others) // size)
+    word = np.arange(len(others)) // size
+    found = [np.unique(others[word == k] // size) for k in range(count)]
+    table = np.repeat(np.arange(count)[:, None], max(len(each) for each in found), axis=1)
+    for k, each in enumerate(found):
+        table[k, : len(each)] = each
+    return table.astype(np.int32)
+
+
 def _along_a_curve(points: NDArray[np.float32]) -> NDArray[np.int64]:
     """Return the points in the order of their Morton codes, so that each n-th is evenly spread."""
     low = points.min(axis=0).astype(np.float64)
