@@ -1,9 +1,10 @@
 """Shadows that were measured before: what a vertex sees of each of a fixed set of directions.
 
-``measure`` finds once per vertex what light of every direction arrives (``cross_bodies``). Under any
-light, ``gather_light`` then sums what does not arrive, or arrives through the body, into what has
-to be added to the unshadowed rows of ``shade_skin`` and ``shade_preview_surface``; the few lamps
-that are sharp get rays of their own (``gather_lamps``). A vertex that sees everything gets zeros.
+``measure`` finds once per vertex what light of every direction arrives (``cross_bodies``). Under
+any light, ``gather_light`` then sums what does not arrive, or arrives through the body, into what
+has to be added to the unshadowed rows of ``shade_skin`` and ``shade_preview_surface``; the few
+lamps that are sharp get rays of their own (``gather_lamps``). A vertex that sees everything gets
+zeros.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from usdskin.render.scene import Scene, read_scene
 from usdskin.render.settings import RenderSettings, read_settings
 from usdskin.render.surface_rows import body_reach
 from usdskin.render.transfer_file import MeshTransfer, kept, write_transfers
-from usdskin.render.transfer_levels import Level, beside, levels_of, words_near
+from usdskin.render.transfer_levels import Level, beside, levels_of, rim_of, words_near
 from usdskin.render.transfer_points import Places, facet_spread, geometry_hashes, places_of
 from usdskin.render.transfer_sphere import WORD, TransferSphere, ring_count, transfer_sphere
 from usdskin.render.uploading import upload_bodies
@@ -256,7 +256,8 @@ def _measure(
             _horizons(scene, mesh, part, slots[part.slot], solid), dtype=wp.float32, device=device
         )
         where.solid = int(solid)
-        levels = levels_of(mesh.points[part.point], part.normal)
+        rim = rim_of(mesh.points, mesh.triangles)[part.point]
+        levels = levels_of(mesh.points[part.point], part.normal, rim)
         measured = _Measuring(geometry, materials, where, device_directions, sphere, workers)
         for level in levels:
             rays += measured.add(level)
@@ -354,9 +355,7 @@ class _Measuring:
         self.workers.run(count, _CHUNK if self.workers.device == "cpu" else count, work)
 
 
-def _device_directions(
-    sphere: TransferSphere, device: str
-) -> tuple[wp.array, wp.array, wp.array]:
+def _device_directions(sphere: TransferSphere, device: str) -> tuple[wp.array, wp.array, wp.array]:
     used = sphere.direction[: sphere.count]
     others = beside(used)
     near = words_near(others, WORD)

@@ -1,7 +1,8 @@
 """The order in which the places of a mesh are measured: few first, then those between them.
 
-Neighbours see nearly the same. Where all measured places around one agree on a direction, and on those
-beside it, that direction is taken as they have it; rays are followed where they do not.
+Neighbours see nearly the same. Where all measured places around one agree on a direction, and on
+those beside it, that direction is taken as they have it; rays are followed where they do not. The
+rim of an open mesh sees past it, unlike what is beside it, and is measured first.
 """
 
 from __future__ import annotations
@@ -41,20 +42,25 @@ class Level:
     """Measured places around each, shape [count, 8], or [count, 0] where all rays are followed."""
 
 
-def levels_of(points: NDArray[np.float32], normals: NDArray[np.float32]) -> list[Level]:
+def levels_of(
+    points: NDArray[np.float32], normals: NDArray[np.float32], rim: NDArray[np.bool_]
+) -> list[Level]:
     """Return the places of a mesh in the order in which they are measured.
 
     Args:
         points: Positions [m], shape [count, 3].
         normals: Unit normals, shape [count, 3].
+        rim: What belongs to the first level, shape [count].
     """
-    order = _along_a_curve(points)
+    along = _along_a_curve(points)
+    first, order = along[rim[along]], along[~rim[along]]
     count = len(order)
     stride = 1
     while count // (stride * RATIO) >= FEWEST:
         stride *= RATIO
     known = np.arange(0, count, stride)
-    levels = [Level(order[known].astype(np.int32), np.zeros((len(known), 0), np.int32))]
+    place = np.concatenate([first, order[known]]).astype(np.int32)
+    levels = [Level(place, np.zeros((len(place), 0), np.int32))]
     while stride > 1:
         stride //= RATIO
         every = np.arange(0, count, stride)
@@ -97,6 +103,25 @@ def words_near(others: NDArray[np.int32], size: int) -> NDArray[np.int32]:
     for k, each in enumerate(found):
         table[k, : len(each)] = each
     return table.astype(np.int32)
+
+
+def rim_of(points: NDArray[np.float32], triangles: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Return which points lie on an edge of a single triangle; equal points are one, shape [count].
+
+    Args:
+        points: Positions [m], shape [count, 3].
+        triangles: Point indices, shape [triangle_count, 3].
+    """
+    place = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1)
+    corner = place[triangles].astype(np.int64)
+    edges = np.stack([corner, np.roll(corner, -1, axis=1)], axis=-1).reshape(-1, 2)
+    edges = np.sort(edges, axis=1)
+    key, times = np.unique(edges[:, 0] * (len(points) + 1) + edges[:, 1], return_counts=True)
+    single = key[times == 1]
+    found = np.zeros(len(points) + 1, np.bool_)
+    found[single // (len(points) + 1)] = True
+    found[single % (len(points) + 1)] = True
+    return np.asarray(found[place])
 
 
 def _along_a_curve(points: NDArray[np.float32]) -> NDArray[np.int64]:
