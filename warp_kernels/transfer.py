@@ -51,6 +51,12 @@ def lifted(position: wp.vec3f, normal: wp.vec3f) -> wp.vec3f:
 
 
 @wp.func
+def _blocks_all(is_skin: bool, limit: wp.float32, gap: wp.float32) -> bool:
+    """Return whether nothing passes the own body either."""
+    return not is_skin or (limit > 0.0 and limit < THINNEST * gap)
+
+
+@wp.func
 def _passed(
     geometry: Geometry, materials: Materials, places: Places, at: wp.int32, toward: wp.vec3f
 ) -> Crossing:
@@ -144,8 +150,7 @@ def _measure_kernel(
     horizon = places.horizon[at]
     limit = materials.passage_limit[m]
     # Where anything at all blocks a ray, it ends at the first triangle found.
-    blocks = limit > 0.0 and limit < THINNEST * origin.gap
-    blocks = places.solid != 0 and (materials.kind[m] != 1 or blocks)
+    blocks = places.solid != 0 and _blocks_all(materials.kind[m] == 1, limit, origin.gap)
     count = int(0)
     for word in range(weakened.shape[1]):
         some = mixed[row, word]
@@ -398,6 +403,7 @@ def _gather_lamps_kernel(
     groups = lights.group_count
     origin = _off_surface(measured.position[row])
     links = LightLinks()
+    blocks = sets.solid != 0 and _blocks_all(is_skin, limit, origin.gap)
     for s in range(sets.first_group.shape[0]):
         group = sets.first_group[s]
         begin = int(0)
@@ -424,9 +430,16 @@ def _gather_lamps_kernel(
                     u = wp.float32(ray % 2) - 0.5
                     v = wp.float32(ray / 2) - 0.5
                     toward = wp.normalize(center + u * azimuth + v * elevation)
-                    crossing = cross_bodies(
-                        geometry, materials, origin, toward, FAR, own, limit, links, -1
-                    )
+                    crossing = Crossing()
+                    if blocks:
+                        if not wp.mesh_query_ray_anyhit(
+                            geometry.mesh, origin.position, toward, FAR
+                        ):
+                            crossing.clear = 1.0
+                    else:
+                        crossing = cross_bodies(
+                            geometry, materials, origin, toward, FAR, own, limit, links, -1
+                        )
                     share = crossing.clear / wp.float32(LAMP_RAYS)
                     if rank > 0 and crossing.length > 0.0:
                         crosses += 1

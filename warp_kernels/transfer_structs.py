@@ -75,6 +75,9 @@ class LampSets:
     lamp_count: wp.array[wp.int32]
     """Shape [set_count] each; the lamps are the first ones of each group."""
 
+    solid: wp.int32
+    """1 where no surface of the scene lets light pass."""
+
 
 @wp.struct
 class Places:

@@ -35,7 +35,7 @@ from usdskin.render.transfer_file import MeshTransfer, kept, write_transfers
 from usdskin.render.transfer_levels import Level, beside, levels_of, rim_of, words_near
 from usdskin.render.transfer_points import Places, facet_spread, geometry_hashes, places_of
 from usdskin.render.transfer_sphere import WORD, TransferSphere, ring_count, transfer_sphere
-from usdskin.render.uploading import upload_bodies
+from usdskin.render.uploading import is_solid, upload_bodies
 from usdskin.warp_kernels import structs, transfer, transfer_structs
 
 # isort: split
@@ -243,7 +243,7 @@ def _measure(
     index = {id(mesh): k for k, mesh in enumerate(scene.meshes)}
     progress.start(sum(len(part.point) for part in places) * sphere.count, "measure")
     device_directions = _device_directions(sphere, device)
-    solid = _is_solid(geometry, materials)
+    solid = is_solid(geometry, materials)
     found, rays = [], 0
     for mesh, part in zip(meshes, places, strict=True):
         slots = np.array([scene.material_index[path] for path in mesh.material_paths], np.int32)
@@ -364,14 +364,6 @@ def _device_directions(sphere: TransferSphere, device: str) -> tuple[wp.array, w
         wp.array(others, dtype=wp.int32, device=device),
         wp.array(near, dtype=wp.int32, device=device),
     )
-
-
-def _is_solid(geometry: structs.Geometry, materials: structs.Materials) -> bool:
-    """Return whether no surface lets light pass."""
-    used = np.unique(geometry.material.numpy())
-    mapped = materials.slot.numpy()[used, structs.INPUT_OPACITY] >= 0
-    opacity = materials.constant.numpy()[used, structs.INPUT_OPACITY][:, 0]
-    return bool(not mapped.any() and (opacity >= 1.0).all())
 
 
 def _write(
