@@ -294,7 +294,10 @@ def test_few_rays_find_what_all_rays_find(tmp_path, monkeypatch, opacity):
     if not opacity:
         return
     for name in ("clear", "length"):
-        total, expected = found[f"1/{name}"].sum(), exact[f"1/{name}"].astype(float).sum()
+        total, expected = (
+            found[f"1/{name}"].astype(float).sum(),
+            exact[f"1/{name}"].astype(float).sum(),
+        )
         assert total == pytest.approx(expected, rel=2e-3, abs=1.0)
 
 

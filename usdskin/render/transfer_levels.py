@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 RATIO = 3
 """Places of a level, over those of all levels before it."""
@@ -19,7 +18,7 @@ RATIO = 3
 FEWEST = 200
 """Places of the first level."""
 
-NEIGHBOURS = 8
+NEIGHBOURS = 12
 """Measured places around one that have to agree."""
 
 BESIDE = 4
@@ -39,7 +38,7 @@ class Level:
     """Shape [count]."""
 
     around: NDArray[np.int32]
-    """Measured places around each, shape [count, 8], or [count, 0] where all rays are followed."""
+    """Measured places around each, shape [count, 12], or [count, 0] where all rays are followed."""
 
 
 def levels_of(
@@ -52,6 +51,8 @@ def levels_of(
         normals: Unit normals, shape [count, 3].
         rim: What belongs to the first level, shape [count].
     """
+    from scipy.spatial import cKDTree  # takes a quarter of a second to import
+
     along = _along_a_curve(points)
     first, order = along[rim[along]], along[~rim[along]]
     count = len(order)
@@ -82,6 +83,8 @@ def levels_of(
 
 def beside(directions: NDArray[np.float32]) -> NDArray[np.int32]:
     """Return the four directions nearest to each, shape [count, 4]."""
+    from scipy.spatial import cKDTree
+
     found = cKDTree(directions).query(directions, k=BESIDE + 1)[1]
     return np.asarray(found[:, 1:], np.int32)
 
