@@ -45,4 +45,5 @@ def probe_gloss(
 def probe_fresnel(lights: Lights, at: wp.array[wp.vec2f], out: wp.array[wp.vec2f]):
     """Look the directional albedo up at (alpha, cosine)."""
     i = wp.tid()
-    out[i] = lookup_fresnel(lights, at[i][0], at[i][1])
+    found = lookup_fresnel(lights, at[i][0], at[i][1])
+    out[i] = wp.vec2f(found[0], found[1])

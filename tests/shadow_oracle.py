@@ -190,7 +190,7 @@ def lustre(
     f0: float,
     parts: int,
 ) -> FloatArray:
-    """Return what one GGX lobe (alpha = roughness^2, Smith, Schlick) reflects of a clear dome.
+    """Return what one dielectric GGX lobe (alpha = roughness^2) reflects of a clear dome.
 
     Walter et al. 2007 with the height-correlated masking of Heitz 2014, by quadrature over the
     texels; shape [bands].
@@ -210,6 +210,10 @@ def lustre(
         return (np.sqrt(1.0 + alpha**2 * (1.0 / np.square(cosine) - 1.0)) - 1.0) / 2.0
 
     masking = 1.0 / (1.0 + hidden(nl) + hidden(nv))
-    fresnel = f0 + (1.0 - f0) * (1.0 - vh) ** 5
+    index = (1.0 + f0**0.5) / (1.0 - f0**0.5)
+    inside = np.sqrt(1.0 - (1.0 - vh**2) / index**2)
+    across = (vh - index * inside) / (vh + index * inside)
+    along = (index * vh - inside) / (index * vh + inside)
+    fresnel = 0.5 * (across**2 + along**2)
     weight = facets * masking * fresnel / (4.0 * nv) * angle
     return weight @ radiance.reshape(-1, bands)[texel]

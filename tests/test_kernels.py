@@ -8,8 +8,9 @@ import warp as wp
 from kernel_probes import probe_fresnel, probe_gloss, probe_means, probe_texture
 
 from usdskin.device import Workers
-from usdskin.render.gloss import add_reflections, fresnel_table
+from usdskin.render.gloss import add_reflections
 from usdskin.render.lights import DomeLight, Lights
+from usdskin.render.lobe_albedo import dielectric_response, schlick_response
 from usdskin.render.textures import Texture, mip_pyramid, pack_textures
 from usdskin.render.textures import sample_texture as reference_sample
 from usdskin.warp_kernels import structs
@@ -145,18 +146,22 @@ def test_prefiltered_light_is_the_lobes_average(device):
         + cosine[..., None] * n
     )
     toward = 2 * cosine[..., None] * half - n
-    weight = np.maximum(toward @ n, 0)
+    nl = np.maximum(toward @ n, 0)
+    weight = 2 * nl / (nl + np.sqrt(alpha**2 + (1 - alpha**2) * nl**2))
     light = 1.0 + 0.5 * toward[..., 1] + 0.3 * toward[..., 0]
     np.testing.assert_allclose(found, (weight * light).sum() / weight.sum(), rtol=PREFILTER_RTOL)
 
 
 def test_directional_albedo_never_exceeds_one():
     """White furnace of one lobe: F0 = 1 reflects at most all, and a mirror reflects all."""
-    table = fresnel_table()
+    table = schlick_response()[..., :2]
     total = table.sum(axis=2)
     assert total.max() <= 1.0 + 2e-3
     np.testing.assert_allclose(total[0, 1:], 1.0, atol=5e-3)
     assert (table >= 0).all()
+    for f0 in (0.0, 0.028, 0.3, 1.0):
+        table = dielectric_response(f0)[..., 0]
+        assert table.min() >= 0.0 and table.max() <= 1.0 + 2e-3
 
 
 def test_mirror_has_schlicks_fresnel(device):

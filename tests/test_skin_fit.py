@@ -16,7 +16,7 @@ from usdskin.estimate.skin.lobe import Lobe, LobeGeometry, directional_albedo
 from usdskin.estimate.skin.model import Coefficients, Freedom, SkinModel
 from usdskin.estimate.skin.readings import Readings, readings_from_angles
 from usdskin.estimate.skin.residuals import structure_of
-from usdskin.render.gloss import FRESNEL_SIZE, fresnel_table
+from usdskin.render.lobe_albedo import TABLE_SIZE, dielectric_response
 
 CHANNELS = np.array([0.62, 0.45, 0.33])
 """A + B of three channels."""
@@ -60,7 +60,11 @@ def shine(theta_i, theta_r, weight, roughness, f0=0.028):
         return (np.sqrt(1 + a2 * (1 / np.maximum(cosine, 1e-6) ** 2 - 1)) - 1) / 2
 
     masking = 1 / (1 + smith(nl) + smith(nv))
-    fresnel = f0 + (1 - f0) * (1 - vh) ** 5
+    index = (1 + np.sqrt(f0)) / (1 - np.sqrt(f0))
+    inside = np.sqrt(1 - (1 - vh**2) / index**2)
+    across = (vh - index * inside) / (vh + index * inside)
+    along = (index * vh - inside) / (index * vh + inside)
+    fresnel = (across**2 + along**2) / 2
     lobe = spread * masking * fresnel / (4 * np.maximum(nl, 1e-6) * nv)
     return np.where(nl > 0, np.pi * weight * lobe * nl, 0.0)
 
@@ -114,13 +118,13 @@ def test_lobe_is_the_microfacet_formula():
 
 
 def test_lobe_albedo_is_the_renderers():
-    alpha = np.linspace(0.0, 1.0, FRESNEL_SIZE[0])
-    cosine = np.linspace(0.0, 1.0, FRESNEL_SIZE[1])
-    table = fresnel_table()
-    for row in (2, 9, 25):
-        found = directional_albedo(np.sqrt(alpha[row]), cosine)
-        expected = 0.028 * table[row, :, 0] + table[row, :, 1]
-        np.testing.assert_allclose(found, expected, atol=1e-6)
+    roughness = np.linspace(0.0, 1.0, TABLE_SIZE[0])
+    cosine = np.linspace(0.0, 1.0, TABLE_SIZE[1])
+    for f0 in (0.028, 0.05):
+        table = dielectric_response(f0)[..., 0]
+        for row in (2, 9, 25):
+            found = directional_albedo(roughness[row], cosine, f0)
+            np.testing.assert_allclose(found, table[row], atol=2e-5)
 
 
 def test_lobe_reflects_its_albedo_of_uniform_light():

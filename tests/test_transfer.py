@@ -22,6 +22,7 @@ from usdskin.cli import main
 from usdskin.device import open_workers
 from usdskin.layers import open_stage
 from usdskin.progress import SilentProgress
+from usdskin.render import transfer_levels
 from usdskin.render.domes import DomeLight
 from usdskin.render.environment import build_environment
 from usdskin.render.overrides import RenderOverrides
@@ -29,7 +30,7 @@ from usdskin.render.scene import read_scene
 from usdskin.render.settings import read_settings
 from usdskin.render.transfer import read_transfers
 from usdskin.render.transfer_bake import bake_transfer
-from usdskin.render.transfer_file import joined, pack
+from usdskin.render.transfer_file import joined, kept
 from usdskin.render.transfer_light import project_dome, shade_transfers, upload_transfers
 from usdskin.render.transfer_sphere import ring_count, transfer_sphere
 from usdskin.render.uploading import upload
@@ -207,16 +208,97 @@ def test_strong_lamps_are_left_out_of_the_spread_light():
     assert flux.sum() == pytest.approx(0.1 * 4 * np.pi, rel=0.01)
 
 
-def test_measurements_are_packed_and_joined_without_loss():
+def measurements(clear, length):
+    """Return dense measurements as the bake hands them over."""
+    weakened = (clear < 1) | (length > 0)
+    row, direction = np.nonzero(weakened & (clear > 0))
+    first = np.searchsorted(row, np.arange(len(clear) + 1))
+    bits = np.packbits(weakened, axis=1, bitorder="little").view(np.uint32)
+    return kept(bits, first, direction, clear[row, direction], length[row, direction])
+
+
+def test_measurements_are_kept_and_joined_without_loss():
     rng = np.random.default_rng(2)
     clear = rng.choice([0.0, 1.0, 51 / 255], (5, 64)).astype(np.float32)
     length = (rng.choice([0.0, 0.004], (5, 64)) * (clear > 0)).astype(np.float32)
-    both = joined([pack(clear[:2], length[:2]), pack(clear[2:], length[2:])])
+    both = joined([measurements(clear[:2], length[:2]), measurements(clear[2:], length[2:])])
     bits = np.unpackbits(both.weakened.view(np.uint8), axis=1, bitorder="little")
     np.testing.assert_array_equal(bits, (clear < 1) | (length > 0))
     row = np.repeat(np.arange(5), np.diff(both.first))
     np.testing.assert_allclose(both.clear / 255, clear[row, both.direction], atol=1e-6)
     np.testing.assert_allclose(both.length / 1e3, length[row, both.direction], rtol=1e-3)
+
+
+# Which rays are followed.
+
+
+@pytest.mark.parametrize("count", [1, 5, 580, 700, 5000])
+def test_every_place_is_measured_once_and_after_those_around_it(count):
+    rng = np.random.default_rng(count)
+    points = rng.normal(size=(count, 3)).astype(np.float32)
+    points[::7] = points[0]  # seams
+    normals = points / np.linalg.norm(points, axis=1, keepdims=True)
+    known = np.zeros(count, bool)
+    rim = np.arange(count) % 50 == 3
+    levels = transfer_levels.levels_of(points, normals, rim)
+    assert np.isin(np.flatnonzero(rim), levels[0].place).all()
+    for level in levels:
+        assert known[level.around].all()
+        assert not known[level.place].any()
+        known[level.place] = True
+    assert known.all()
+    assert sum(len(level.place) for level in levels) == count
+    assert (levels[0].around.size == 0) and (len(levels) > 1) == (count >= 700)
+
+
+def test_the_rim_is_where_a_triangle_has_no_neighbour():
+    points, faces = grid(1.0, 4)
+    triangles = np.array([(a, b, c) for a, b, c, d in faces] + [(a, c, d) for a, b, c, d in faces])
+    points = np.array(points, np.float32)
+    rim = transfer_levels.rim_of(points, triangles)
+    np.testing.assert_array_equal(rim, np.abs(points[:, [0, 2]]).max(axis=1) > 0.49)
+    soup = transfer_levels.rim_of(points[triangles.ravel()], np.arange(96).reshape(-1, 3))
+    np.testing.assert_array_equal(soup, rim[triangles.ravel()])
+
+
+def test_words_near_a_word_hold_the_directions_beside_its_own():
+    sphere = transfer_sphere(20)
+    others = transfer_levels.beside(sphere.direction[: sphere.count])
+    near = transfer_levels.words_near(others, 32)
+    for d, beside in enumerate(others):
+        assert d not in beside
+        assert set(beside // 32) <= set(near[d // 32])
+        assert (sphere.direction[beside] @ sphere.direction[d] > np.cos(2.5 * np.pi / 20)).all()
+
+
+@pytest.mark.parametrize("opacity", [0.0, 40.0, 1e6])
+def test_few_rays_find_what_all_rays_find(tmp_path, monkeypatch, opacity):
+    """A ball over a floor, every bit of every vertex."""
+    base = write_stage(
+        tmp_path / "base.usda", mesh("Floor", *grid(2.0, 40)),
+        mesh("Ball", *ball(0.35, (0.1, 0.45, 0.0), rings=24)), opacity=opacity,
+    )  # fmt: skip
+    few = bake(base, directions=400)
+    found = np.load(tmp_path / "transfer.npz")
+    monkeypatch.setattr(transfer_levels, "FEWEST", 10**9)
+    every = bake(base, directions=400)
+    exact = np.load(tmp_path / "transfer.npz")
+    assert few.rays < (0.6 if opacity else 0.8) * every.rays
+    for k in range(2):
+        one, other = (
+            np.unpackbits(each[f"{k}/weakened"].view(np.uint8), axis=1) for each in (found, exact)
+        )
+        wrong = one != other
+        assert wrong.mean() < 1e-3
+        assert wrong.mean(axis=1).max() < 0.02
+    if not opacity:
+        return
+    for name in ("clear", "length"):
+        total, expected = (
+            found[f"1/{name}"].astype(float).sum(),
+            exact[f"1/{name}"].astype(float).sum(),
+        )
+        assert total == pytest.approx(expected, rel=2e-3, abs=1.0)
 
 
 # Pictures.

@@ -41,9 +41,14 @@ def diffuse_light(
 ) -> DiffuseLight:  # fmt: skip
     """Return the first ``kernels`` of J1, J2 and H at a normal: the smooth maps and the lamps.
 
+    H is only told where the wrap is not 0: nothing is made of it there.
+
     ``coordinates`` is where the group's maps are looked up (``frame_coordinates``).
     """
     total = DiffuseLight()
+    wrap = lights.wrap[wrap_set]
+    if wrap == 0.0:  # both kernels are one, and H is not asked for
+        kernels = 1
     offset = lights.map_offset[wrap_set, 0, group]
     if offset >= 0:
         rows = lights.map_rows[group]
@@ -54,7 +59,6 @@ def diffuse_light(
         if kernels > 2:
             offset = lights.map_offset[wrap_set, 2, group]
             total.front = lookup_map(lights.map_value, offset, rows, coordinates)
-    wrap = lights.wrap[wrap_set]
     narrow = 1.0 / (1.0 + wrap)
     lambert = wp.vec4f(0.0, 0.0, 0.0, 0.0)
     wrapped = wp.vec4f(0.0, 0.0, 0.0, 0.0)
@@ -87,6 +91,8 @@ def diffuse_light(
     total.lambert += lambert
     total.wrap += wrapped
     total.front += front
+    if wrap == 0.0:
+        total.wrap = total.lambert
     return total
 
 

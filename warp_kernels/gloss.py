@@ -5,8 +5,14 @@ from __future__ import annotations
 import warp as wp
 
 from usdskin.warp_kernels.diffuse import first_lamp
-from usdskin.warp_kernels.lookup import PI, frame_coordinates, lookup_fresnel, lookup_gloss
-from usdskin.warp_kernels.reflection import Reflection, deposit
+from usdskin.warp_kernels.lookup import (
+    PI,
+    frame_coordinates,
+    lookup_fresnel,
+    lookup_gloss,
+    lookup_lustre,
+)
+from usdskin.warp_kernels.reflection import Reflection, deposit, fresnel_rise
 from usdskin.warp_kernels.structs import Film, Lights, Materials
 from usdskin.warp_kernels.surface import Point
 
@@ -33,27 +39,54 @@ def ggx(alpha: wp.float32, nh: wp.float32, nl: wp.float32, nv: wp.float32) -> wp
 
 @wp.func
 def _lobe(
-    lights: Lights, group: wp.int32, alpha: wp.float32, point: Point, nv: wp.float32,
-    coordinates: wp.vec2f, tint: wp.float32, white: wp.float32,
+    lights: Lights, group: wp.int32, alpha: wp.float32, point: Point, r: Reflection,
+    coordinates: wp.vec2f, width: wp.float32, part: wp.float32, index: wp.float32,
+    tint: wp.float32, white: wp.float32,
 ) -> wp.vec4f:  # fmt: skip
-    """Return light reflected by one GGX lobe with Fresnel tint F0 + white (1 - F0) Schlick.
+    """Return light reflected by one GGX lobe with Fresnel tint F0 + white (1 - F0) rise.
 
-    ``tint`` and ``white`` select the two parts: F0 times x, and y, of the directional albedo.
+    ``tint`` and ``white`` select the two parts; ``part`` is their directional albedo,
+    ``width`` q of what is prefiltered.
     """
-    response = lookup_fresnel(lights, alpha, nv)
-    part = tint * response[0] + white * response[1]
-    total = part * lookup_gloss(lights, group, alpha, coordinates)
+    total = part * lookup_gloss(lights, group, width * alpha, coordinates)
     for k in range(first_lamp(lights, group), lights.gloss_end[group]):
-        toward = lights.lamp_center[k]
-        nl = wp.dot(point.normal, toward)
-        if nl > 0.0:
-            half = wp.normalize(toward + point.view)
-            size = wp.length(lights.lamp_azimuth[k])
-            wide = wp.clamp(alpha + 0.5 * size, 1.0e-3, 1.0)
-            rise = wp.pow(1.0 - wp.clamp(wp.dot(point.view, half), 0.0, 1.0), 5.0)
-            lobe = ggx(wide, wp.dot(point.normal, half), nl, nv)
-            total += (lobe * (tint * (1.0 - rise) + white * rise)) * lights.lamp_flux[k]
+        azimuth = lights.lamp_azimuth[k]
+        elevation = lights.lamp_elevation[k]
+        # As wide as a lobe that shows a lamp much larger than itself at the lamp's radiance.
+        spread = wp.length(azimuth) * wp.length(elevation) / PI
+        parts = wp.where(spread > 0.1 * alpha * alpha, 2, 1)
+        split = 0.5 * wp.float32(parts - 1)
+        spread = spread / wp.float32(parts * parts)
+        reflected = float(0.0)
+        for q in range(parts * parts):
+            u = split * (2.0 * wp.float32(q % parts) - wp.float32(parts - 1))
+            v = split * (2.0 * wp.float32(q / parts) - wp.float32(parts - 1))
+            toward = wp.normalize(lights.lamp_center[k] + u * azimuth + v * elevation)
+            nl = wp.dot(point.normal, toward)
+            if nl > 0.0:
+                half = wp.normalize(toward + point.view)
+                between = wp.max(wp.dot(point.view, half), 1.0e-3)
+                wide = wp.clamp(wp.sqrt(alpha * alpha + spread / between), 1.0e-3, 1.0)
+                rise = fresnel_rise(index, r.f0, between)
+                lobe = ggx(wide, wp.dot(point.normal, half), nl, r.nv)
+                reflected += lobe * (tint * (1.0 - rise) + white * rise)
+        total += (reflected / wp.float32(parts * parts)) * lights.lamp_flux[k]
     return total
+
+
+@wp.func
+def _response(lights: Lights, materials: Materials, alpha: wp.float32, r: Reflection) -> wp.vec3f:
+    """Return an untinted lobe's directional albedo, k and q."""
+    if r.index > 0.0:
+        return lookup_lustre(materials, r.lustre, alpha, r.nv)
+    response = lookup_fresnel(lights, alpha, r.nv)
+    return wp.vec3f(r.f0 * response[0] + response[1], response[2], response[3])
+
+
+@wp.func
+def _around(point: Point, nv: wp.float32, k: wp.float32) -> wp.vec3f:
+    """Return the mean direction of a lobe."""
+    return wp.normalize((2.0 * nv + k) * point.normal - point.view)
 
 
 @wp.func
@@ -75,20 +108,37 @@ def shade_gloss(
     m = point.material
     groups = lights.group_count
     row = first_glossy_row(lights, materials, m)
-    mirror = wp.normalize(2.0 * r.nv * point.normal - point.view)
-    toward = wp.vec2f(0.0, 0.0)
+    one = _response(lights, materials, r.alpha, r)
+    two = _response(lights, materials, r.second_alpha, r)
+    coat = lookup_fresnel(lights, r.coat_alpha, r.nv)
+    plain = lookup_fresnel(lights, r.alpha, r.nv)
+    first = wp.vec2f(0.0, 0.0)
+    second = wp.vec2f(0.0, 0.0)
+    third = wp.vec2f(0.0, 0.0)
     y = float(0.0)
     for g in range(groups):
-        toward = frame_coordinates(lights, g, mirror, toward)
-        light = (1.0 - r.second) * _lobe(lights, g, r.alpha, point, r.nv, toward, r.f0, 1.0)
+        first = frame_coordinates(lights, g, _around(point, r.nv, one[1]), first)
+        light = (1.0 - r.second) * _lobe(
+            lights, g, r.alpha, point, r, first, one[2], one[0], r.index, r.f0, 1.0
+        )
         if r.second > 0.0:
-            light += r.second * _lobe(lights, g, r.second_alpha, point, r.nv, toward, r.f0, 1.0)
+            second = frame_coordinates(lights, g, _around(point, r.nv, two[1]), second)
+            light += r.second * _lobe(
+                lights, g, r.second_alpha, point, r, second, two[2], two[0], r.index, r.f0, 1.0
+            )
         light = r.shine * light
         if r.coat > 0.0:
-            light += r.coat * _lobe(lights, g, r.coat_alpha, point, r.nv, toward, 0.04, 1.0)
+            second = frame_coordinates(lights, g, _around(point, r.nv, coat[2]), second)
+            part = 0.04 * coat[0] + coat[1]
+            light += r.coat * _lobe(
+                lights, g, r.coat_alpha, point, r, second, coat[3], part, 0.0, 0.04, 1.0
+            )
         y += deposit(materials, film, pixel, m, row + g, light)
         if r.tints > 0:
-            light = r.shine * _lobe(lights, g, r.alpha, point, r.nv, toward, 1.0, 0.0)
+            third = frame_coordinates(lights, g, _around(point, r.nv, plain[2]), third)
+            light = r.shine * _lobe(
+                lights, g, r.alpha, point, r, third, plain[3], plain[0], 0.0, 1.0, 0.0
+            )
             for j in range(r.tints):
                 at = row + (1 + j) * groups + g
                 y += deposit(materials, film, pixel, m, at, r.tint[wp.min(j, 3)] * light)

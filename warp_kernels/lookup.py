@@ -123,18 +123,46 @@ def lookup_gloss(
 
 
 @wp.func
-def lookup_fresnel(lights: Lights, alpha: wp.float32, cosine: wp.float32) -> wp.vec2f:
-    """Return (x, y): a GGX lobe's directional albedo is F0 x + y (Schlick's Fresnel)."""
+def _albedo_place(
+    alpha: wp.float32, cosine: wp.float32, rows: wp.int32, columns: wp.int32
+) -> wp.vec2f:
+    """Return where a lobe lies in a table over roughness and cosine."""
+    y = wp.sqrt(wp.clamp(alpha, 0.0, 1.0)) * wp.float32(rows - 1)
+    x = wp.clamp(cosine, 0.0, 1.0) * wp.float32(columns - 1)
+    return wp.vec2f(y, x)
+
+
+@wp.func
+def lookup_fresnel(lights: Lights, alpha: wp.float32, cosine: wp.float32) -> wp.vec4f:
+    """Return (x, y, k, q): a GGX lobe's directional albedo is F0 x + y (Schlick's Fresnel)."""
     rows = lights.fresnel.shape[0]
     columns = lights.fresnel.shape[1]
-    y = wp.clamp(alpha, 0.0, 1.0) * wp.float32(rows - 1)
-    x = wp.clamp(cosine, 0.0, 1.0) * wp.float32(columns - 1)
-    i = wp.min(wp.int32(y), rows - 2)
-    j = wp.min(wp.int32(x), columns - 2)
-    fy = y - wp.float32(i)
-    fx = x - wp.float32(j)
+    at = _albedo_place(alpha, cosine, rows, columns)
+    i = wp.min(wp.int32(at[0]), rows - 2)
+    j = wp.min(wp.int32(at[1]), columns - 2)
+    fy = at[0] - wp.float32(i)
+    fx = at[1] - wp.float32(j)
     top = (1.0 - fx) * lights.fresnel[i, j] + fx * lights.fresnel[i, j + 1]
     bottom = (1.0 - fx) * lights.fresnel[i + 1, j] + fx * lights.fresnel[i + 1, j + 1]
+    return (1.0 - fy) * top + fy * bottom
+
+
+@wp.func
+def lookup_lustre(
+    materials: Materials, k: wp.int32, alpha: wp.float32, cosine: wp.float32
+) -> wp.vec3f:
+    """Return the directional albedo of a GGX lobe of the k-th dielectric, its k and q."""
+    rows = materials.lustre.shape[1]
+    columns = materials.lustre.shape[2]
+    at = _albedo_place(alpha, cosine, rows, columns)
+    i = wp.min(wp.int32(at[0]), rows - 2)
+    j = wp.min(wp.int32(at[1]), columns - 2)
+    fy = at[0] - wp.float32(i)
+    fx = at[1] - wp.float32(j)
+    top = (1.0 - fx) * materials.lustre[k, i, j]
+    top += fx * materials.lustre[k, i, j + 1]
+    bottom = (1.0 - fx) * materials.lustre[k, i + 1, j]
+    bottom += fx * materials.lustre[k, i + 1, j + 1]
     return (1.0 - fy) * top + fy * bottom
 
 

@@ -44,6 +44,12 @@ class Reflection:
     f0: wp.float32
     """Reflectance at normal incidence of the untinted lobes [1]."""
 
+    index: wp.float32
+    """Refractive index of their surface; 0 where Schlick's Fresnel is used."""
+
+    lustre: wp.int32
+    """Which of ``Materials.lustre`` is theirs, where there is an index."""
+
     coat: wp.float32
     coat_alpha: wp.float32
     """Weight and GGX alpha of a clearcoat."""
@@ -56,6 +62,19 @@ class Reflection:
 
     entry: wp.float32
     """Where the thickness lies in the table of exp(-s delta)."""
+
+
+@wp.func
+def fresnel_rise(index: wp.float32, f0: wp.float32, cosine: wp.float32) -> wp.float32:
+    """Return (F - F0) / (1 - F0) of a dielectric (Born and Wolf, 1.5.2), or Schlick's."""
+    outside = wp.clamp(cosine, 0.0, 1.0)
+    if index == 0.0:
+        return wp.pow(1.0 - outside, 5.0)
+    inside = wp.sqrt(wp.max(1.0 - (1.0 - outside * outside) / (index * index), 1.0e-12))
+    across = (outside - index * inside) / (outside + index * inside)
+    along = (index * outside - inside) / (index * outside + inside)
+    mirrored = 0.5 * (across * across + along * along)
+    return (mirrored - f0) / wp.max(1.0 - f0, 1.0e-4)
 
 
 @wp.func

@@ -6,7 +6,7 @@ import warp as wp
 
 from usdskin.warp_kernels.diffuse import light_of
 from usdskin.warp_kernels.gloss import widened
-from usdskin.warp_kernels.lookup import frame_coordinates, lookup_fresnel
+from usdskin.warp_kernels.lookup import frame_coordinates, lookup_lustre
 from usdskin.warp_kernels.reflection import Reflection, base_weight, deposit
 from usdskin.warp_kernels.structs import (
     INPUT_BASE,
@@ -80,14 +80,15 @@ def reflect_skin(
         lobes = materials.constant[m, INPUT_LOBES]
         if (materials.flags[m] & 128) != 0:
             lobes = mapped_lobes(geometry, materials, point)
-        r.f0 = materials.constant[m, INPUT_SPECULAR][0]
+        surface = materials.constant[m, INPUT_SPECULAR]
+        r.f0 = surface[0]
+        r.lustre = wp.int32(surface[1])
+        r.index = surface[2]
         r.alpha = widened(lobes[1], point.relief_variance)
         r.second_alpha = widened(lobes[2], point.relief_variance)
         r.second = lobes[3]
-        first = lookup_fresnel(lights, r.alpha, r.nv)
-        second = lookup_fresnel(lights, r.second_alpha, r.nv)
-        albedo = (1.0 - r.second) * (r.f0 * first[0] + first[1])
-        albedo += r.second * (r.f0 * second[0] + second[1])
+        albedo = (1.0 - r.second) * lookup_lustre(materials, r.lustre, r.alpha, r.nv)[0]
+        albedo += r.second * lookup_lustre(materials, r.lustre, r.second_alpha, r.nv)[0]
         r.shine = weight * lobes[0]
         r.diffuse = weight * (1.0 - lobes[0] * albedo)
     if materials.passage_rank[m] > 0:

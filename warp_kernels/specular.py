@@ -65,7 +65,7 @@ def _prefilter_kernel(
     # Out:
     value_out: wp.array[wp.vec4f],
 ):
-    """Average the environment over a GGX lobe seen along its mirror direction (N = V = R).
+    """Average the environment over a GGX lobe seen from above (N = V = R).
 
     The split-sum approximation with filtered importance sampling (Karis 2013; Krivanek and Colbert
     2008): each of a fixed set of directions reads the level whose texels match its solid angle.
@@ -113,8 +113,10 @@ def _prefilter_kernel(
             covered = 1.0 / (wp.float32(SAMPLE_COUNT) * density)
             sine_polar = wp.sqrt(wp.max(1.0 - toward[1] * toward[1], 1.0e-4))
             detail = 0.5 * wp.log2(covered / (texel_angle * sine_polar)) + 1.0
-            total += nl * _sample_pyramid(texel, level, toward, detail)
-            weight += nl
+            # Smith's height-correlated masking with n.v = 1 (Heitz 2014).
+            shown = 2.0 * nl / (nl + wp.sqrt(a2 + (1.0 - a2) * nl * nl))
+            total += shown * _sample_pyramid(texel, level, toward, detail)
+            weight += shown
     value_out[node] = total / wp.max(weight, 1.0e-6)
 
 

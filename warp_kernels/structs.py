@@ -140,8 +140,10 @@ class Lights:
     gloss_alpha: wp.array[wp.float32]
     """GGX alpha of each level, ascending, shape [level_count]."""
 
-    fresnel: wp.array2d[wp.vec2f]
-    """Directional albedo = F0 x + y, over (alpha, cosine), shape [alpha_count, cosine_count]."""
+    fresnel: wp.array2d[wp.vec4f]
+    """Directional albedo = F0 x + y by Schlick's Fresnel, (x, y, k, q): the lobe's mean
+    direction is along mirror + k normal, its width that of q alpha seen from above; over
+    (roughness, cosine), shape [roughness_count, cosine_count]."""
 
     dome_value: wp.array[wp.vec4f]
     """Texels of the domes as the camera sees them, one image per group."""
@@ -223,6 +225,11 @@ class Materials:
 
     constant: wp.array2d[wp.vec4f]
     """Values of the inputs that have no texture, shape [material_count, input_count]."""
+
+    lustre: wp.array3d[wp.vec3f]
+    """Directional albedo of a dielectric's lobe, k and q, over (F0, roughness, cosine), shape
+    [f0_count, roughness_count, cosine_count]; INPUT_SPECULAR of skin is (F0, its index here,
+    refractive index)."""
 
     slot: wp.array2d[wp.int32]
     """Texture slot of an input, -1 where constant, shape [material_count, input_count]."""

@@ -8,7 +8,7 @@ from usdskin.warp_kernels.gloss import first_glossy_row, ggx
 from usdskin.warp_kernels.light_links import reaches
 from usdskin.warp_kernels.light_tree import dome_texel_towards, tree_density
 from usdskin.warp_kernels.local_lights import intersect_local_light, local_light_pdf
-from usdskin.warp_kernels.reflection import Reflection, deposit
+from usdskin.warp_kernels.reflection import Reflection, deposit, fresnel_rise
 from usdskin.warp_kernels.sampling import TWO_PI, around
 from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
 from usdskin.warp_kernels.surface import Point
@@ -30,7 +30,7 @@ def lobes_towards(materials: Materials, point: Point, r: Reflection, toward: wp.
         return wp.vec3f(0.0, 0.0, 0.0)
     half = wp.normalize(toward + point.view)
     nh = wp.clamp(wp.dot(point.normal, half), 0.0, 1.0)
-    rise = wp.pow(1.0 - wp.clamp(wp.dot(point.view, half), 0.0, 1.0), 5.0)
+    rise = fresnel_rise(r.index, r.f0, wp.dot(point.view, half))
     first = ggx(wp.max(r.alpha, 1.0e-3), nh, nl, r.nv)
     single = first
     density = (1.0 - r.second) * _half_density(r.alpha, nh, r.nv)
@@ -42,7 +42,8 @@ def lobes_towards(materials: Materials, point: Point, r: Reflection, toward: wp.
     if r.coat > 0.0:
         share = _coat_share(r)
         coat = ggx(wp.max(r.coat_alpha, 1.0e-3), nh, nl, r.nv)
-        white += r.coat * coat * (0.04 * (1.0 - rise) + rise)
+        coat_rise = fresnel_rise(0.0, 0.04, wp.dot(point.view, half))
+        white += r.coat * coat * (0.04 * (1.0 - coat_rise) + coat_rise)
         density = (1.0 - share) * density + share * _half_density(r.coat_alpha, nh, r.nv)
     return wp.vec3f(white, r.shine * first * (1.0 - rise), density)
 

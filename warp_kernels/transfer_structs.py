@@ -74,3 +74,27 @@ class LampSets:
     group_count: wp.array[wp.int32]
     lamp_count: wp.array[wp.int32]
     """Shape [set_count] each; the lamps are the first ones of each group."""
+
+    solid: wp.int32
+    """1 where no surface of the scene lets light pass."""
+
+
+@wp.struct
+class Places:
+    """Where is measured."""
+
+    position: wp.array[wp.vec3f]
+    """[m], shape [place_count]."""
+
+    normal: wp.array[wp.vec3f]
+    """Mean unit normals, shape [place_count]."""
+
+    material: wp.array[wp.int32]
+    prim: wp.array[wp.int32]
+    """Index of the material and of the mesh, shape [place_count]."""
+
+    horizon: wp.array[wp.float32]
+    """Cosine with the normal below which no light counts, shape [place_count]."""
+
+    solid: wp.int32
+    """1 where no surface of the scene lets light pass."""

@@ -1,12 +1,10 @@
-"""Prefiltered reflections of the domes, and the directional albedo of a GGX lobe.
+"""Prefiltered reflections of the domes.
 
 Reads: ``Lights`` and ``LightField``. Fills: the reflection arrays of the kernels' ``Lights``.
 Lamps that are reflected by themselves are blackened first, so that nothing counts twice.
 """
 
 from __future__ import annotations
-
-import functools
 
 import numpy as np
 import warp as wp
@@ -16,10 +14,8 @@ from usdskin import compilation
 from usdskin.device import Workers
 from usdskin.render.environment import group_count, refined
 from usdskin.render.lights import DomeLight, Lights
+from usdskin.render.lobe_albedo import schlick_response
 from usdskin.warp_kernels import specular, structs
-
-FRESNEL_SIZE = (33, 32)
-"""Rows over alpha and columns over the cosine of the directional albedo table."""
 
 LADDER = (0.0, 0.0025, 0.01, 0.04, 0.09, 0.16, 0.25, 0.36, 0.49, 0.64, 1.0)
 """GGX alphas prefiltered where a roughness varies over a surface."""
@@ -46,7 +42,7 @@ def add_reflections(
         workers: Where to compute.
     """
     device = workers.device
-    field.fresnel = wp.array(fresnel_table(), dtype=wp.vec2f, device=device)
+    field.fresnel = wp.array(schlick_response(), dtype=wp.vec4f, device=device)
     groups = int(field.group_count)
     offsets = np.full((max(1, len(alphas)), groups), -1, np.int32)
     rows = np.zeros_like(offsets)
@@ -93,37 +89,6 @@ def show_domes(field: structs.Lights, lights: Lights, show: bool, device: str) -
     field.dome_offset = wp.array(offsets, dtype=wp.int32, device=device)
     field.dome_rows = wp.array(rows, dtype=wp.int32, device=device)
     field.dome_columns = wp.array(columns, dtype=wp.int32, device=device)
-
-
-@functools.cache
-def fresnel_table() -> NDArray[np.float32]:
-    """Return (x, y) such that a GGX lobe's directional albedo is F0 x + y.
-
-    Schlick's Fresnel splits into F0 (1 - c) + c with c = (1 - v.h)^5; both parts are integrated
-    over the visible hemisphere with Smith's height-correlated masking (Karis 2013, section 4).
-
-    Returns:
-        Table over alpha (0 to 1) and the cosine of the view angle (0 to 1), shape [33, 32, 2].
-    """
-    rows, columns = FRESNEL_SIZE
-    alpha = np.maximum(np.linspace(0.0, 1.0, rows), 1e-3)[:, None, None]
-    nv = np.maximum(np.linspace(0.0, 1.0, columns), 1e-3)[None, :, None]
-    count = 256
-    xi = (np.arange(count) + 0.5) / count
-    angle = 2.0 * np.pi * ((np.arange(count) * 0.6180339887498949) % 1.0)
-    cosine = np.sqrt((1.0 - xi) / (1.0 + (alpha**2 - 1.0) * xi))
-    sine = np.sqrt(1.0 - cosine**2)
-    view = np.sqrt(1.0 - nv**2)
-    vh = np.maximum(view * sine * np.cos(angle) + nv * cosine, 1e-6)
-    nl = 2.0 * vh * cosine - nv
-    lit = nl > 0.0
-    nl = np.where(lit, nl, 1.0)
-    a2 = alpha**2
-    mask = nv * np.sqrt(a2 + (1 - a2) * nl**2) + nl * np.sqrt(a2 + (1 - a2) * nv**2)
-    weight = np.where(lit, 2.0 * nl * nv / mask * vh / (cosine * nv), 0.0)
-    rise = (1.0 - vh) ** 5
-    table = np.stack([(weight * (1.0 - rise)).mean(-1), (weight * rise).mean(-1)], axis=-1)
-    return table.astype(np.float32)
 
 
 def _grid_rows(alpha: float, map_rows: int) -> int:

@@ -143,6 +143,8 @@ def gloss_alphas(
                 found.add(float(roughness) ** 2)
     if widens and found:
         found |= {alpha for alpha in ladder if alpha > min(found)}
+    # Seen at a slant a lobe is up to twice as narrow (``usdskin.render.lobe_albedo``).
+    found |= {0.5 * alpha for alpha in found if alpha > 0.003}
     return tuple(sorted({round(float(alpha), 6) for alpha in found}))
 
 

@@ -13,13 +13,17 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from usdskin import fresnel
 from usdskin.colorimetry import illuminant, xyz_to_rgb, xyz_weights
 from usdskin.render.detail import check_normal_map, frames_of
 from usdskin.render.inputs import PrimvarInput, TextureInput
+from usdskin.render.lobe_albedo import TABLE_SIZE, dielectric_response
 from usdskin.render.materials import SkinMaterial, SurfaceMaterial
 from usdskin.render.memory import available_bytes
 from usdskin.render.relief import slopes, unit_normals
 from usdskin.render.surface_rows import (
+    GLOSSY,
+    SKIN,
     MaterialRows,
     SpectralFrame,
     add_indirect_rows,
@@ -196,6 +200,7 @@ def _upload(
             slot[m, which] = slots.add(value, len(row.bases) if weighed else 0, which)
             if which == structs.INPUT_NORMAL and isinstance(value, TextureInput):
                 check_normal_map(value)
+    lustre = _lustre_tables(rows)
     counts = np.array([len(row.rows) for row in rows], np.int32)
     spectra = np.concatenate([np.stack(row.rows) for row in rows])
     weights = xyz_weights(frame.wavelength_nm, frame.observer, frame.absolute)
@@ -222,6 +227,7 @@ def _upload(
     target.row_part = ints(np.concatenate([row_parts(row) for row in rows]))
     target.flags = ints([row.flags for row in rows])
     target.constant = floats(np.stack([row.constant for row in rows]), wp.vec4f)
+    target.lustre = floats(lustre, wp.vec3f)
     target.slot = ints(slot)
     target.slot_texture, target.slot_primvar = ints(slots.texture), ints(slots.primvar)
     target.slot_channel = ints(slots.channel)
@@ -246,6 +252,18 @@ def _upload(
     )
     to_rgb = white[:, None] * to_rgb / (white @ to_rgb).mean()
     return Surfaces(target, int(counts.max()), tuple(row.bases @ to_rgb for row in rows))
+
+
+def _lustre_tables(rows: list[MaterialRows]) -> FloatArray:
+    """Return the tables of all skins' lobes, and tell each material which one is its own."""
+    skins = [row for row in rows if row.kind == SKIN and row.flags & GLOSSY]
+    found = sorted({float(row.constant[structs.INPUT_SPECULAR, 0]) for row in skins})
+    for row in skins:
+        f0 = float(row.constant[structs.INPUT_SPECULAR, 0])
+        row.constant[structs.INPUT_SPECULAR, 1:3] = found.index(f0), fresnel.index_of(f0)
+    if not found:
+        return np.zeros((1, *TABLE_SIZE, 3))
+    return np.stack([dielectric_response(f0) for f0 in found])
 
 
 def _passages(rows: list[MaterialRows]) -> tuple[FloatArray, FloatArray]:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import hashlib
 import time as clock
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from usdskin import compilation
 from usdskin.device import Workers, open_workers, vec3
@@ -30,11 +31,12 @@ from usdskin.render.overrides import RenderOverrides
 from usdskin.render.scene import Scene, read_scene
 from usdskin.render.settings import RenderSettings, read_settings
 from usdskin.render.surface_rows import body_reach
-from usdskin.render.transfer_file import MeshTransfer, joined, pack, write_transfers
-from usdskin.render.transfer_points import Places, geometry_hashes, places_of
-from usdskin.render.transfer_sphere import TransferSphere, ring_count, transfer_sphere
-from usdskin.render.uploading import upload_bodies
-from usdskin.warp_kernels import transfer
+from usdskin.render.transfer_file import MeshTransfer, kept, write_transfers
+from usdskin.render.transfer_levels import Level, beside, levels_of, rim_of, words_near
+from usdskin.render.transfer_points import Places, facet_spread, geometry_hashes, places_of
+from usdskin.render.transfer_sphere import WORD, TransferSphere, ring_count, transfer_sphere
+from usdskin.render.uploading import is_solid, upload_bodies
+from usdskin.warp_kernels import structs, transfer, transfer_structs
 
 # isort: split
 # After ours, which register the schemas.
@@ -46,8 +48,8 @@ DIRECTIONS_RANGE = (64, 32768)
 STEP = "bakeTransfer"
 """Name of the step in a layer's record of its origin."""
 
-_CHUNK = 1 << 21
-"""Rays of one launch."""
+_CHUNK = 256
+"""Places of one launch on the CPU."""
 
 _COARSE_SHARE = 0.05
 """Longest edge, as a share of the scene's size, above which shadows on a mesh are blurred."""
@@ -127,7 +129,7 @@ def bake_transfer(
         workers = open_workers(settings.device, settings.threads)
         read = clock.perf_counter()
         places = [places_of(mesh) for mesh in meshes]
-        transfers = _measure(scene, meshes, places, sphere, workers, progress)
+        transfers, rays = _measure(scene, meshes, places, sphere, workers, progress)
         measured = clock.perf_counter()
         hashes = geometry_hashes(scene)
         write_transfers(data, transfers, hashes)
@@ -153,7 +155,7 @@ def bake_transfer(
     }
     return BakeReport(
         [output, data], list(dict.fromkeys(notes)), seconds,
-        len(meshes), rows, rows * sphere.count, data.stat().st_size,
+        len(meshes), rows, rays, data.stat().st_size,
     )  # fmt: skip
 
 
@@ -233,59 +235,135 @@ def _measure(
     sphere: TransferSphere,
     workers: Workers,
     progress: Progress,
-) -> list[MeshTransfer]:
-    """Return what the places of every mesh see."""
+) -> tuple[list[MeshTransfer], int]:
+    """Return what the places of every mesh see, and how many rays were followed."""
     device = workers.device
     geometry, materials, keep = upload_bodies(scene, workers)
     compilation.load(transfer, device)
     index = {id(mesh): k for k, mesh in enumerate(scene.meshes)}
     progress.start(sum(len(part.point) for part in places) * sphere.count, "measure")
-    direction = vec3(sphere.direction[: sphere.count], device)
-    found = []
+    device_directions = _device_directions(sphere, device)
+    solid = is_solid(geometry, materials)
+    found, rays = [], 0
     for mesh, part in zip(meshes, places, strict=True):
         slots = np.array([scene.material_index[path] for path in mesh.material_paths], np.int32)
-        position = vec3(mesh.points[part.point], device)
-        normal = vec3(part.normal, device)
-        material = wp.array(slots[part.slot], dtype=wp.int32, device=device)
-        prim = wp.full(len(part.point), index[id(mesh)], dtype=wp.int32, device=device)
-        # Skin is lit from behind too, as far as its wrap reaches, which may change.
-        is_skin = np.array(
-            [isinstance(scene.materials[slot], SkinMaterial) for slot in slots], np.bool_
-        )[part.slot]
-        lowest = np.where(is_skin, -2.0, -part.spread - 1e-3).astype(np.float32)
-        horizon = wp.array(lowest, dtype=wp.float32, device=device)
-        packed: dict[int, MeshTransfer] = {}
-
-        def work(
-            begin: int,
-            end: int,
-            position: wp.array = position,
-            normal: wp.array = normal,
-            material: wp.array = material,
-            prim: wp.array = prim,
-            horizon: wp.array = horizon,
-            packed: dict[int, MeshTransfer] = packed,
-        ) -> None:
-            shape = (end - begin, sphere.count)
-            clear = wp.empty(shape, dtype=wp.float32, device=device)
-            length = wp.empty(shape, dtype=wp.float32, device=device)
-            transfer.measure(
-                geometry, materials, position, normal, material, prim, horizon, direction, begin,
-                clear, length,
-            )  # fmt: skip
-            extra = ((0, 0), (0, len(sphere.direction) - sphere.count))
-            packed[begin] = pack(
-                np.pad(clear.numpy(), extra, constant_values=1.0), np.pad(length.numpy(), extra)
-            )
-
-        chunk = max(1, _CHUNK // sphere.count)
-        workers.run(
-            len(part.point), chunk, work, lambda rows: progress.advance(rows * sphere.count)
+        where = transfer_structs.Places()
+        where.position = vec3(mesh.points[part.point], device)
+        where.normal = vec3(part.normal, device)
+        where.material = wp.array(slots[part.slot], dtype=wp.int32, device=device)
+        where.prim = wp.full(len(part.point), index[id(mesh)], dtype=wp.int32, device=device)
+        where.horizon = wp.array(
+            _horizons(scene, mesh, part, slots[part.slot], solid), dtype=wp.float32, device=device
         )
-        found.append(joined([packed[begin] for begin in sorted(packed)]))
+        where.solid = int(solid)
+        rim = rim_of(mesh.points, mesh.triangles)[part.point]
+        levels = levels_of(mesh.points[part.point], part.normal, rim)
+        measured = _Measuring(geometry, materials, where, device_directions, sphere, workers)
+        for level in levels:
+            rays += measured.add(level)
+            progress.advance(len(level.place) * sphere.count)
+        found.append(measured.finish())
     progress.done()
     del keep
-    return found
+    return found, rays
+
+
+def _horizons(
+    scene: Scene, mesh: MeshArrays, places: Places, material: NDArray[np.int32], solid: bool
+) -> NDArray[np.float32]:
+    """Return the cosine with a place's normal below which no light arrives, shape [count].
+
+    Skin is lit from behind too, as far as its wrap reaches, which may change; not where its body
+    lets nothing through.
+    """
+    shading = -places.spread - np.float32(1e-3)
+    lowest = np.full(len(shading), -2.0, np.float32)
+    is_skin = np.array([isinstance(each, SkinMaterial) for each in scene.materials])[material]
+    lowest[~is_skin] = shading[~is_skin]
+    reach = np.array([
+        body_reach(each, scene.frame.wavelength_nm) if isinstance(each, SkinMaterial) else 0.0
+        for each in scene.materials
+    ])[material]  # fmt: skip
+    size = np.abs(mesh.points[places.point]).max(axis=1)
+    thinnest = float(transfer.THINNEST) * 4e-6 * np.maximum(size, 1e-3)
+    blocks = is_skin & (reach > 0.0) & (reach < thinnest) & solid
+    lowest[blocks] = np.minimum(shading, -facet_spread(mesh, places) - np.float32(1e-3))[blocks]
+    return lowest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Measuring:
+    """One mesh under way."""
+
+    geometry: structs.Geometry
+    materials: structs.Materials
+    places: transfer_structs.Places
+    directions: tuple[wp.array, wp.array, wp.array]
+    """The directions, those beside each, and the words that hold those beside a word's."""
+
+    sphere: TransferSphere
+    workers: Workers
+    weakened: wp.array = field(init=False)
+    partial: wp.array = field(init=False)
+
+    def __post_init__(self) -> None:
+        shape = (self.places.position.shape[0], len(self.sphere.direction) // WORD)
+        for name in ("weakened", "partial"):
+            bits = wp.zeros(shape, dtype=wp.uint32, device=self.workers.device)
+            object.__setattr__(self, name, bits)
+
+    def add(self, level: Level) -> int:
+        """Measure the places of a level; return how many rays that took."""
+        device = self.workers.device
+        place = wp.array(level.place, dtype=wp.int32, device=device)
+        around = wp.array(level.around, dtype=wp.int32, device=device)
+        rays = wp.zeros(len(level.place), dtype=wp.int32, device=device)
+
+        def work(begin: int, end: int) -> None:
+            transfer.measure(
+                self.geometry, self.materials, self.places, *self.directions, place, around,
+                self.weakened, self.partial, rays, begin, end,
+            )  # fmt: skip
+
+        self._run(len(level.place), work)
+        return int(rays.numpy().sum())
+
+    def finish(self) -> MeshTransfer:
+        """Return what was measured."""
+        device = self.workers.device
+        partial = self.partial.numpy()
+        first = np.zeros(len(partial) + 1, np.int64)
+        counted = np.unpackbits(partial.view(np.uint8), axis=1).sum(axis=1)
+        np.cumsum(counted, out=first[1:])
+        count = int(first[-1])
+        entry = wp.array(first[:-1].astype(np.int32), dtype=wp.int32, device=device)
+        kinds = (wp.int32, wp.float32, wp.float32)
+        found = tuple(wp.zeros(max(count, 1), dtype=kind, device=device) for kind in kinds)
+
+        def work(begin: int, end: int) -> None:
+            transfer.measure_entries(
+                self.geometry, self.materials, self.places, self.directions[0], self.partial,
+                entry, (found[0], found[1], found[2]), begin, end,
+            )  # fmt: skip
+
+        if count:
+            self._run(len(partial), work)
+        direction, clear, length = (each.numpy()[:count] for each in found)
+        return kept(self.weakened.numpy(), first, direction, clear, length)
+
+    def _run(self, count: int, work: Callable[[int, int], None]) -> None:
+        self.workers.run(count, _CHUNK if self.workers.device == "cpu" else count, work)
+
+
+def _device_directions(sphere: TransferSphere, device: str) -> tuple[wp.array, wp.array, wp.array]:
+    used = sphere.direction[: sphere.count]
+    others = beside(used)
+    near = words_near(others, WORD)
+    return (
+        vec3(used, device),
+        wp.array(others, dtype=wp.int32, device=device),
+        wp.array(near, dtype=wp.int32, device=device),
+    )
 
 
 def _write(

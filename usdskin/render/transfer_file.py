@@ -63,32 +63,28 @@ class MeshTransfer:
         return found
 
 
-def pack(clear: NDArray[np.float32], length: NDArray[np.float32]) -> MeshTransfer:
+def kept(
+    weakened: NDArray[np.uint32],
+    first: NDArray[np.int64],
+    direction: NDArray[np.int32],
+    clear: NDArray[np.float32],
+    length: NDArray[np.float32],
+) -> MeshTransfer:
     """Return measurements as they are kept.
 
     Args:
-        clear: Share that other bodies let pass, for directions in words [1], shape
-            [row_count, 32 word_count].
-        length: Way inside the own body [m], the same shape.
+        weakened: A bit per direction that is not clear, shape [row_count, word_count].
+        first: First entry of each row, and one past the last, shape [row_count + 1].
+        direction: Directions from which some of the light arrives, shape [entry_count].
+        clear: Share that other bodies let pass [1], above 0, shape [entry_count].
+        length: Way inside the own body [m], shape [entry_count].
     """
-    steps = np.rint(clear * 255.0).astype(np.uint8)
     millimetres = np.minimum(length * 1e3, 6e4).astype(np.float16)
-    inside = (length > 0.0) & (steps > 0)
     # A way too short for the format is still a way through the body.
+    inside = length > 0.0
     millimetres[inside] = np.maximum(millimetres[inside], np.float16(6e-8))
-    weakened = (steps < 255) | inside
-    partial = weakened & (steps > 0)
-    bits = np.packbits(weakened, axis=1, bitorder="little")
-    row, direction = np.nonzero(partial)
-    first = np.zeros(len(clear) + 1, np.int64)
-    np.cumsum(np.bincount(row, minlength=len(clear)), out=first[1:])
-    return MeshTransfer(
-        np.ascontiguousarray(bits).view("<u4").astype(np.uint32, copy=False),
-        first,
-        direction.astype(np.uint16),
-        steps[partial],
-        millimetres[partial],
-    )
+    steps = np.rint(clear * 255.0).astype(np.uint8)
+    return MeshTransfer(weakened, first, direction.astype(np.uint16), steps, millimetres)
 
 
 def joined(parts: Sequence[MeshTransfer]) -> MeshTransfer:

@@ -7,7 +7,7 @@ it to what its maps give. A camera costs nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
@@ -22,6 +22,7 @@ from usdskin.render.light_maps import LightField
 from usdskin.render.lights import DomeLight, Lights
 from usdskin.render.transfer import Transfers
 from usdskin.render.transfer_sphere import BYTE, WORD, TransferSphere
+from usdskin.render.uploading import is_solid
 from usdskin.warp_kernels import transfer, transfer_structs
 
 _PROJECTED_ROWS = 128
@@ -48,6 +49,24 @@ class DeviceTransfers:
     hidden: wp.array
     """A bit per direction that no reflection comes from, shape [place_count, word_count]."""
 
+    averaged: dict[str, AveragedDome] = field(default_factory=dict)
+    """Of the domes of the last light, by path."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AveragedDome:
+    """A dome's light without its strong lamps in blocks of texels, whichever way it is turned."""
+
+    coefficients: NDArray[np.float32]
+    blocks: NDArray[np.int64]
+    """What it was made of."""
+
+    light: NDArray[np.float64]
+    """Flux of each block [coefficient sr], shape [block_count, channel_count]."""
+
+    toward: NDArray[np.float64]
+    """Direction of each in the frame of the dome, shape [block_count, 3]."""
+
 
 def upload_transfers(transfers: Transfers, device: str) -> DeviceTransfers:
     """Copy the baked shadows of a scene to a device."""
@@ -66,7 +85,7 @@ def upload_transfers(transfers: Transfers, device: str) -> DeviceTransfers:
 def shade_transfers(
     transfers: DeviceTransfers,
     lights: Lights,
-    field: LightField,
+    light: LightField,
     scene: DeviceScene,
     workers: Workers,
 ) -> None:
@@ -75,22 +94,28 @@ def shade_transfers(
     Args:
         transfers: The shadows.
         lights: Domes and distant lights.
-        field: The same, as they were baked.
+        light: The same, as they were baked.
         scene: The scene on the device, baked with ``measured``; its geometry gets the shadows.
         workers: Where to compute.
     """
     device = workers.device
     compilation.load(transfer, device)
-    groups = int(field.device_lights.group_count)
+    groups = int(light.device_lights.group_count)
     flux = np.zeros((groups, len(transfers.sphere.direction), 4), np.float32)
     sets = []
     first = 0
-    for dome, blocks in zip(lights.domes, field.reflected_blocks, strict=True):
+    for dome, blocks in zip(lights.domes, light.reflected_blocks, strict=True):
         count = group_count(dome.coefficients.shape[2])
-        flux[first : first + count] = project_dome(dome, blocks, transfers.sphere)
+        known = transfers.averaged.get(dome.path)
+        if known is None or known.coefficients is not dome.coefficients:
+            known = None
+        elif not np.array_equal(known.blocks, blocks):
+            known = None
+        known = transfers.averaged[dome.path] = known or averaged(dome, blocks)
+        flux[first : first + count] = spread(known, dome, transfers.sphere)
         sets.append((first, count, len(blocks)))
         first += count
-    end = field.device_lights.lamp_end.numpy()
+    end = light.device_lights.lamp_end.numpy()
     for _ in range(0, len(lights.distants), 4):  # wide discs are several lamps
         sets.append((first, 1, int(end[first] - (end[first - 1] if first else 0))))
         first += 1
@@ -99,15 +124,16 @@ def shade_transfers(
     count = len(transfers.material)
     change = wp.zeros((count, columns), dtype=wp.vec4f, device=device)
     lamps = _lamp_sets(sets, device)
+    lamps.solid = int(is_solid(scene.geometry, scene.materials))
     device_flux, moment = vec4(flux, device), vec4(_moments(flux, transfers.sphere), device)
 
     def work(begin: int, end: int) -> None:
         transfer.gather_light(
-            field.device_lights, scene.materials, transfers.directions, transfers.measured,
+            light.device_lights, scene.materials, transfers.directions, transfers.measured,
             transfers.vertices, device_flux, moment, change, begin, end,
         )  # fmt: skip
         transfer.gather_lamps(
-            scene.geometry, field.device_lights, scene.materials, transfers.measured,
+            scene.geometry, light.device_lights, scene.materials, transfers.measured,
             transfers.vertices, lamps, change, begin, end,
         )  # fmt: skip
 
@@ -137,6 +163,11 @@ def project_dome(
     Returns:
         Flux [coefficient sr], shape [group_count, direction_count, 4].
     """
+    return spread(averaged(dome, blocks), dome, sphere)
+
+
+def averaged(dome: DomeLight, blocks: NDArray[np.int64]) -> AveragedDome:
+    """Return a dome's light in blocks of texels, the lamps of ``blocks`` left out."""
     image = refined(dome.coefficients)
     height, width, channels = image.shape
     if len(blocks):
@@ -148,13 +179,23 @@ def project_dome(
     starts = np.arange(0, height, step), np.arange(0, width, step)
     light = image.astype(np.float32) * area[:, None, None].astype(np.float32)
     light = np.add.reduceat(np.add.reduceat(light, starts[0], axis=0), starts[1], axis=1)
-    toward = _block_directions(height, width, step).reshape(-1, 3) @ dome.to_world.T
-    index, share = sphere.shares(toward)
+    return AveragedDome(
+        dome.coefficients,
+        blocks,
+        light.reshape(-1, channels).astype(np.float64),
+        _block_directions(height, width, step).reshape(-1, 3),
+    )
+
+
+def spread(light: AveragedDome, dome: DomeLight, sphere: TransferSphere) -> NDArray[np.float32]:
+    """Return the light of a dome, turned as it is, over the directions (``project_dome``)."""
+    index, share = sphere.shares(light.toward @ dome.to_world.T)
+    channels = light.light.shape[1]
     groups = group_count(channels)
     flux = np.zeros((len(sphere.direction), groups * 4))
-    flat = light.reshape(-1, channels).astype(np.float64)
     for k in range(channels):
-        flux[:, k] = np.bincount(index.ravel(), (share * flat[:, k : k + 1]).ravel(), len(flux))
+        weight = (share * light.light[:, k : k + 1]).ravel()
+        flux[:, k] = np.bincount(index.ravel(), weight, len(flux))
     return np.ascontiguousarray(flux.reshape(-1, groups, 4).transpose(1, 0, 2).astype(np.float32))
 
 

@@ -84,6 +84,22 @@ def places_of(mesh: MeshArrays) -> Places:
     )
 
 
+def facet_spread(mesh: MeshArrays, places: Places) -> NDArray[np.float32]:
+    """Return the sine of the angle by which a place's triangles tilt from its normal, [count].
+
+    1 where one faces away. Light from further behind than that comes out of the body.
+    """
+    corner = mesh.points[mesh.triangles].astype(np.float64)
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-30)
+    normal = places.normal[places.corner_place]
+    cosine = np.einsum("ij,ij->i", normal, np.repeat(across, 3, axis=0))
+    least = np.ones(len(places.point))
+    np.minimum.at(least, places.corner_place, cosine)
+    found = np.where(least > 0.0, np.sqrt(np.maximum(1.0 - least**2, 0.0)), 1.0)
+    return found.astype(np.float32)
+
+
 def shaded_vertices(mesh: MeshArrays, places: Places) -> ShadedVertices:
     """Return what the corners of a mesh look up."""
     normal = mesh.normals.reshape(-1, 3)

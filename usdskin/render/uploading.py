@@ -125,6 +125,14 @@ def upload_bodies(
     return geometry, surfaces.device_materials, mesh
 
 
+def is_solid(geometry: structs.Geometry, materials: structs.Materials) -> bool:
+    """Return whether no surface lets light pass."""
+    used = np.unique(geometry.material.numpy())
+    mapped = materials.slot.numpy()[used, structs.INPUT_OPACITY] >= 0
+    opacity = materials.constant.numpy()[used, structs.INPUT_OPACITY][:, 0]
+    return bool(not mapped.any() and (opacity >= 1.0).all())
+
+
 def _bake(
     scene: Scene, workers: Workers, show_dome: bool, brute: bool, traced: bool, measured: bool
 ) -> LightField:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from usdskin import fresnel as fresnel_formulas
 from usdskin.errors import LayerError
 
 FloatArray = NDArray[np.float64]
@@ -28,11 +29,7 @@ def fresnel(index: float, angle_deg: ArrayLike) -> FloatArray:
     Returns:
         Reflectance [1], shape of ``angle_deg``.
     """
-    cosine = np.cos(np.radians(np.asarray(angle_deg, dtype=np.float64)))
-    inside = np.sqrt(1.0 - (1.0 - cosine**2) / index**2)
-    across = (cosine - index * inside) / (cosine + index * inside)
-    along = (index * cosine - inside) / (index * cosine + inside)
-    return np.asarray(0.5 * (across**2 + along**2))
+    return fresnel_formulas.reflectance(index, np.cos(np.radians(np.asarray(angle_deg, float))))
 
 
 def specular_included(
