@@ -13,7 +13,13 @@ import warp as wp
 from usdskin.warp_kernels.detail import relieved
 from usdskin.warp_kernels.film import deposit_dome, shines_when_clear
 from usdskin.warp_kernels.light_links import reaches
-from usdskin.warp_kernels.light_tree import light_number, sample_tree, tree_light
+from usdskin.warp_kernels.light_tree import (
+    LightTree,
+    TreeSample,
+    light_number,
+    sample_tree,
+    tree_light,
+)
 from usdskin.warp_kernels.preview_surface import (
     reflect_preview_surface,
     shade_emission,
@@ -27,6 +33,15 @@ from usdskin.warp_kernels.surface import Point
 from usdskin.warp_kernels.trace_bounce import bounce
 from usdskin.warp_kernels.trace_diffuse import beam_share, shade_beam, shade_local_light
 from usdskin.warp_kernels.trace_gloss import deposit_gloss, lobes_towards, shine
+from usdskin.warp_kernels.trace_guide import (
+    Guide,
+    deposit_known,
+    guide_block,
+    is_guided,
+    remember,
+    sample_guided,
+    update_guide,
+)
 from usdskin.warp_kernels.trace_structs import (
     FAR,
     GLOSS_DIMENSION,
@@ -91,8 +106,12 @@ def _draw(trace: Trace, key: wp.uint32, index: wp.int32, first: wp.int32) -> wp.
 def _shade_directions(
     geometry: Geometry, lights: Lights, materials: Materials, film: Film, trace: Trace,
     pixel: wp.int32, key: wp.uint32, index: wp.int32, point: Point, r: Reflection,
+    block: wp.int32, guided: wp.bool,
 ) -> wp.vec3f:  # fmt: skip
-    """Deposit one direction from each kind of light; return Y, and of it what was weakened."""
+    """Deposit one direction from each kind of light; return Y, and of it what was weakened.
+
+    ``block`` is that of the pixel, -1 where nothing is learnt; ``guided`` whether it answers here.
+    """
     m = point.material
     own = int(-1)
     mix = float(0.0)
@@ -104,7 +123,15 @@ def _shade_directions(
     weakened = float(0.0)
     y = float(0.0)
     u = _draw(trace, key, index, LIGHT_DIMENSION)
-    sample = sample_tree(trace.tree, point.normal, wrap, mix, u)
+    sample = TreeSample()
+    given = float(1.0)
+    if guided:
+        sample = sample_guided(trace.tree, trace.guide, block, point.normal, wrap, mix, u)
+        given = trace.guide.known[block, trace.guide.leaf_part[sample.leaf]]
+    else:
+        sample = sample_tree(trace.tree, point.normal, wrap, mix, u)
+        if block >= 0:
+            given = trace.guide.given[block]
     if sample.scale > 0.0:
         number = light_number(trace.tree, sample)
         lobes = wp.vec3f(0.0, 0.0, 0.0)
@@ -119,9 +146,15 @@ def _shade_directions(
                 sample.direction, FAR, own,
                 materials.passage_limit[m], lights.links, number,
             )  # fmt: skip
-            share = beam_share(
-                lights, materials, point, sample.direction, crossing, trace.given[pixel]
-            )
+            share = beam_share(lights, materials, point, sample.direction, crossing, given)
+            if block >= 0 and lit:
+                arrived = float(crossing.clear)
+                if materials.passage_rank[m] > 0:
+                    if crossing.length > 0.0:
+                        arrived = 0.0
+                    if x <= 0.0:
+                        arrived = 1.0 - crossing.clear
+                remember(trace.guide, block, sample.leaf, arrived)
             seen = float(0.0)
             if crossing.length <= 0.0:
                 seen = crossing.clear
@@ -129,7 +162,9 @@ def _shade_directions(
                     seen = seen * sample.density / (sample.density + lobes[2])
             for g in range(lights.group_count):
                 light = tree_light(trace.tree, sample, g)
-                weakened += shade_beam(lights, materials, film, pixel, point, r, g, light, share)
+                weakened += shade_beam(
+                    lights, materials, film, pixel, point, r, g, trace.weight * light, share
+                )
                 if lobes[0] + lobes[1] > 0.0 and seen > 0.0:
                     y += deposit_gloss(lights, materials, film, pixel, m, r, g, seen * light, lobes)
     for k in range(trace.local.count):
@@ -138,7 +173,10 @@ def _shade_directions(
         )
     if glossy:
         u = _draw(trace, key, index, GLOSS_DIMENSION)
-        y += shine(geometry, lights, materials, film, trace, pixel, point, r, own, mix, u)
+        y += shine(
+            geometry, lights, materials, film, trace, pixel, point, r, own, mix, u,
+            wp.where(guided, block, -1),
+        )  # fmt: skip
     if materials.sent_count > 0 and r.diffuse > 0.0:
         y += bounce(geometry, lights, materials, film, trace, pixel, key, index, point, r)
     return wp.vec3f(weakened + y, 0.0, weakened)
@@ -164,6 +202,28 @@ def _shade_unshadowed(
         emitted = shade_emission(geometry, lights, materials, film, pixel, point, scaled)
     whole = base / given
     return wp.vec3f(base + emitted, whole, base - whole)
+
+
+@wp.func
+def face_block(
+    lights: Lights, materials: Materials, trace: Trace, pixel: wp.int32, block: wp.int32,
+    point: Point, r: Reflection, layer: wp.int32,
+) -> wp.bool:  # fmt: skip
+    """Have a block know of a surface; return whether it answers there."""
+    wrap = lights.wrap[materials.wrap_set[point.material]]
+    mix = float(0.0)
+    if materials.kind[point.material] == 1:
+        mix = SKIN_MIX
+    if layer == 0:
+        facing = trace.guide.facing[pixel]
+        n = point.normal
+        trace.guide.facing[pixel] = wp.vec4f(
+            facing[0] + n[0], facing[1] + n[1], facing[2] + n[2],
+            wp.max(facing[3], wp.where(mix > 0.0, wrap, -1.0)),
+        )  # fmt: skip
+        if r.shine > 0.0 or r.coat > 0.0:
+            trace.guide.glossy[pixel] = 1
+    return is_guided(trace.guide, block, point.normal, wrap, mix)
 
 
 @wp.kernel(enable_backward=False)
@@ -230,13 +290,27 @@ def _trace_kernel(
                 shown = opacity > 0.0 or shines_when_clear(materials, current)
                 r = reflect_preview_surface(geometry, lights, materials, point, clear, opacity)
             if shown:
+                block = int(-1)
+                guided = bool(False)
+                given = float(1.0)
+                if trace.guide.tops > 0:
+                    block = guide_block(trace.guide, pixel)
+                    guided = face_block(lights, materials, trace, pixel, block, point, r, layer)
+                    given = 1.0 + trace.weight * (trace.guide.given[block] - 1.0)
                 sums += _shade_unshadowed(
-                    geometry, lights, materials, film, pixel, point, r, times, trace.given[pixel]
+                    geometry, lights, materials, film, pixel, point, r, times, given
                 )
+                if guided and trace.guide.changes[block] != 0:
+                    scaled = r
+                    scaled.diffuse = times * trace.weight * r.diffuse
+                    changed = deposit_known(
+                        lights, materials, film, pixel, point, scaled, trace.guide, block
+                    )
+                    sums += wp.vec3f(changed, 0.0, changed)
                 for k in range(trace.split):
                     sums += _shade_directions(
                         geometry, lights, materials, film, trace, pixel, layer_key, number + k,
-                        point, r,
+                        point, r, block, guided,
                     )  # fmt: skip
             alpha += clear * opacity
             clear = clear * (1.0 - opacity)
@@ -253,7 +327,7 @@ def _trace_kernel(
     _finish(materials, film, trace, pixel, current)
     total = film.xyza[pixel]
     film.xyza[pixel] = wp.vec4f(total[0], total[1], total[2], total[3] + times * alpha)
-    trace.luminance[pixel] = sums[0]
+    trace.luminance[pixel] = sums[0] + (1.0 / trace.weight - 1.0) * sums[2]
     trace.tally[pixel] += wp.vec4f(sums[0], sums[1], sums[2], times * wp.float32(samples))
 
 
@@ -272,4 +346,88 @@ def trace_pass(
         inputs=[geometry, camera, lights, materials, trace],
         outputs=[film],
         device=film.xyza.device,
+    )
+
+
+@wp.kernel(enable_backward=False)
+def _learn_kernel(
+    # In:
+    tree: LightTree,
+    block: wp.array[wp.int32],
+    # Out:
+    guide: Guide,
+):
+    """Have blocks know what they have counted.
+
+    Launch dimension: [block_count].
+    """
+    update_guide(tree, guide, block[wp.tid()], SKIN_MIX)
+
+
+def learn(tree: LightTree, block: wp.array, guide: Guide) -> None:
+    """Have some blocks of a tile know what they have counted."""
+    wp.launch(
+        _learn_kernel,
+        dim=block.shape[0],
+        inputs=[tree, block],
+        outputs=[guide],
+        device=block.device,
+    )
+
+
+@wp.kernel(enable_backward=False)
+def _moments_kernel(
+    # In:
+    tree: LightTree,
+    dome: wp.int32,
+    row: wp.array[wp.vec3f],
+    column: wp.array[wp.vec3f],
+    # Out:
+    moment: wp.array2d[wp.vec4f],
+):
+    """Integrate the light of a dome's leaves times x, y, z (the dome's frame) and 1.
+
+    Launch dimension: [leaf_count].
+
+    Args:
+        tree: The light.
+        dome: Which dome.
+        row: Integrals of sin^2, of sin cos and of sin of the polar angle, shape [rows].
+        column: Integrals of sin and of -cos of the azimuth, and of 1, shape [columns].
+        moment: Result, shape [leaf_count, 4 group_count].
+    """
+    leaf = wp.tid()
+    if tree.leaf_dome[leaf] != dome:
+        return
+    block = tree.leaf_block[leaf]
+    size = tree.dome_size[dome]
+    first = tree.dome_first[dome]
+    for g in range(first[3]):
+        at = 4 * (first[2] + g)
+        texel = first[0] + g * size[0] * size[1]
+        for i in range(block[0], block[0] + block[2]):
+            x = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+            z = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+            flux = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+            for j in range(block[1], block[1] + block[3]):
+                light = tree.dome_texel[texel + i * size[1] + j]
+                x += column[j][0] * light
+                z += column[j][1] * light
+                flux += column[j][2] * light
+            moment[leaf, at] += row[i][0] * x
+            moment[leaf, at + 1] += row[i][1] * flux
+            moment[leaf, at + 2] += row[i][0] * z
+            moment[leaf, at + 3] += row[i][2] * flux
+
+
+def dome_moments(
+    tree: LightTree, dome: int, row: wp.array, column: wp.array, moment: wp.array
+) -> None:
+    """Integrate the light of a dome's leaves (``_moments_kernel``)."""
+    wp.launch(
+        _moments_kernel,
+        dim=tree.leaf_node.shape[0],
+        inputs=[tree, dome, row, column],
+        outputs=[moment],
+        device=moment.device,
     )

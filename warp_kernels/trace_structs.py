@@ -6,6 +6,7 @@ import warp as wp
 
 from usdskin.warp_kernels.light_tree import LightTree
 from usdskin.warp_kernels.local_lights import LocalLights
+from usdskin.warp_kernels.trace_guide import Guide
 
 FAR = wp.constant(1.0e18)
 """Distance of domes and distant lights [m]."""
@@ -50,9 +51,11 @@ class Trace:
     split: wp.int32
     """Directions of light for every camera sample."""
 
-    given: wp.array[wp.float32]
-    """Share of the unshadowed light that is taken from the maps; directions are weighed against it.
-    The share that arrives gives the least noise, shape [tile_pixels]."""
+    guide: Guide
+    """What blocks of pixels know of the light that arrives."""
+
+    weight: wp.float32
+    """Weight of what directions change, against the other passes' [1]."""
 
     part: wp.array2d[wp.vec3f]
     """Sums of XYZ: diffuse, specular, emission, indirect, shape [tile_pixels, 4], or [0, 0]."""

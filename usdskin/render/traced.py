@@ -30,6 +30,7 @@ from usdskin.render.integrate import (
     Share,
     device_camera,
 )
+from usdskin.render.light_guide import LightParts, light_parts, turned_parts
 from usdskin.render.light_maps import LightField, luminances
 from usdskin.render.light_tree import build_light_tree
 from usdskin.render.lights import Lights
@@ -43,6 +44,7 @@ from usdskin.warp_kernels import (
     sampling,
     structs,
     trace,
+    trace_guide,
     trace_structs,
 )
 
@@ -55,8 +57,11 @@ FIRST_SAMPLES = 16
 LARGEST_SPLIT = 4
 """Most directions of light for one camera sample: a surface point costs a fourth of a direction."""
 
-LEAST_GIVEN = 0.02
-"""Least share of the unshadowed light that is taken from the maps."""
+LEARNING = 4
+"""Of these, samples from which blocks of pixels learn what they see."""
+
+LEARNING_WEIGHT = 0.25
+"""Weight of what they change; the rest of the first samples makes up for it."""
 
 PARTS = ("diffuse", "specular", "emission", "indirect")
 """What the light of a pixel is split into, in the kernels' order."""
@@ -99,6 +104,9 @@ class _Pass:
     split: int
     """Directions of light that each of them takes."""
 
+    weight: float = 1.0
+    """Weight of what they change."""
+
     @property
     def count(self) -> int:
         """Directions of light that a pixel takes."""
@@ -117,6 +125,9 @@ class TracedLights:
 
     first_local: int
     """Number of the first of them in the light links."""
+
+    parts: LightParts
+    """What blocks of pixels learn of the tree's light."""
 
     upright: NDArray[np.float32] | None
     """Cones of the tree's nodes in the frame of the only dome, shape [node_count, 4]; None where
@@ -143,7 +154,8 @@ def trace_lights(
         built = replace(lights, domes=(replace(lights.domes[0], to_world=np.eye(3)),))
     tree = build_light_tree(built, luminances(field, frame), device)
     upright = tree.node_cone.numpy() if is_alone else None
-    found = TracedLights(tree, field.local.device_lights, first, upright)
+    parts = light_parts(built, tree, field.device_lights.group_count, device)
+    found = TracedLights(tree, field.local.device_lights, first, parts, upright)
     return turn_traced_lights(found, lights, device) or found
 
 
@@ -167,7 +179,7 @@ def turn_traced_lights(found: TracedLights, lights: Lights, device: str) -> Trac
     tree.node_cone = vec4(cones, device)
     turns = to_world.astype(np.float32)[None]
     tree.dome_to_world = wp.array(turns, dtype=wp.mat33f, device=device)
-    return replace(found, tree=tree)
+    return replace(found, tree=tree, parts=turned_parts(found.parts, to_world, device))
 
 
 def sampling_key(seed: int, frame: float | None) -> int:
@@ -219,7 +231,8 @@ def integrate_traced(
         "part": np.zeros((count if parts else 0, len(PARTS), 3), np.float32),
     }
     rows = _tile_rows(width, height, TILE_PIXELS if on_host else GPU_TILE_PIXELS)
-    passes = _passes(settings, device, sharp=camera.lens_radius <= 0.0)
+    learns = lights.parts.tops > 1 and not scene.lights.links.active
+    passes = _passes(settings, device, sharp=camera.lens_radius <= 0.0, learns=learns)
     sobol = wp.array(sampling.direction_numbers(), dtype=wp.uint32, device=device)
     projection = None
     if on_host and camera.lens_radius <= 0.0:
@@ -236,6 +249,9 @@ def integrate_traced(
         tile = _Tile(scene, rays, lights, sobol, settings, begin, end, bands, parts, device)
         tile.film.show_dome = int(show_dome)
         active = np.arange(end - begin, dtype=np.int32)
+        if len(passes) > 1 and passes[0].weight != 1.0:
+            tile.guide(lights.parts, width)
+            active = active[np.argsort(tile.block, kind="stable")]
         for number, each in enumerate(passes):
             face = None
             if projection is not None:
@@ -244,11 +260,11 @@ def integrate_traced(
                     projection, each.offsets, first // rows, width, first, (end - begin) // width
                 )
             tile.add(each, active, face)
-            if number:
+            if number and (each.first + each.count > FIRST_SAMPLES or not learns):
                 active = _unfinished(tile, active, width, settings)
                 if not len(active):
                     break
-            tile.weigh(active, width)
+            tile.learn(active)
         for name, values in tile.finished().items():
             result[name][begin:end] = values
         tiles.finished(begin, end)
@@ -270,22 +286,32 @@ def integrate_traced(
 
 def _tile_rows(width: int, height: int, pixels: int) -> int:
     """Return the rows of a tile: whole blocks."""
-    rows = max(BLOCK, pixels // width // BLOCK * BLOCK)
-    return min(rows, -(-height // BLOCK) * BLOCK)
+    side = int(trace_guide.SIDE)
+    rows = max(side, pixels // width // side * side)
+    return min(rows, -(-height // side) * side)
 
 
-def _passes(settings: Sampling, device: str, *, sharp: bool) -> list[_Pass]:
-    """Return the passes: the first samples in two halves, and then as many as there are before.
+def _passes(settings: Sampling, device: str, *, sharp: bool, learns: bool) -> list[_Pass]:
+    """Return the passes: the first samples in two parts, and then as many as there are before.
 
     Later passes of a ``sharp`` picture take several directions of light for each camera sample:
-    what is noisy is the light. Every pass has its own camera samples.
+    what is noisy is the light. Every pass has its own camera samples. Where a block ``learns``, the
+    first part weighs little; the weights of all first samples add up to their count.
     """
     samples, begin = settings.share.size(settings.samples), settings.share.first(settings.samples)
     first = min(samples, FIRST_SAMPLES)
     moved = 16 * settings.share.index  # more than there are passes
     offsets = sample_offsets(first, settings.pixel_filter, _shift(moved))
-    half = (first + 1) // 2
-    found = [(0, 0, offsets[0::2], 1), (half, half, offsets[1::2], 1)]
+    half, weights = (first + 1) // 2, (1.0, 1.0)
+    chosen = np.arange(first) % 2 == 0
+    if learns and first == FIRST_SAMPLES:
+        half = LEARNING
+        chosen = np.arange(first) % (first // half) == 0
+        weights = (LEARNING_WEIGHT, (first - LEARNING_WEIGHT * half) / (first - half))
+    found = [
+        (0, 0, offsets[chosen], 1, weights[0]),
+        (half, half, offsets[~chosen], 1, weights[1]),
+    ]
     taken = cameras_taken = first
     while taken < samples:
         more = min(taken, samples - taken)
@@ -293,7 +319,7 @@ def _passes(settings: Sampling, device: str, *, sharp: bool) -> list[_Pass]:
         cameras = max(1, more // split)
         shift = _shift(moved + len(found))
         offsets = sample_offsets(cameras, settings.pixel_filter, shift)
-        found.append((taken, cameras_taken, offsets, split))
+        found.append((taken, cameras_taken, offsets, split, 1.0))
         taken += cameras * split
         cameras_taken += cameras
     return [
@@ -302,8 +328,9 @@ def _passes(settings: Sampling, device: str, *, sharp: bool) -> list[_Pass]:
             begin + at_camera,
             wp.array(np.ascontiguousarray(at), dtype=wp.vec2f, device=device),
             split,
+            weight,
         )
-        for at_sample, at_camera, at, split in found
+        for at_sample, at_camera, at, split, weight in found
         if len(at)
     ]
 
@@ -347,11 +374,38 @@ class _Tile:
         shape = (count, len(PARTS)) if parts else (0, 0)
         self._trace.part = wp.zeros(shape, dtype=wp.vec3f, device=device)
         self._trace.tally = wp.zeros(count, dtype=wp.vec4f, device=device)
-        self._trace.given = wp.ones(count, dtype=wp.float32, device=device)
+        self._lights = lights
+        self.block = np.zeros(0, np.int64)
         self._trace.luminance = wp.zeros(count, dtype=wp.float32, device=device)
         self.variance = np.zeros(count)
         self._total = np.zeros(count)
         self._taken = np.zeros(count)
+        self._squares = np.zeros(count)
+
+    def guide(self, parts: LightParts, width: int) -> None:
+        """Have blocks of pixels learn what they see; ``block`` is each pixel's."""
+        side, device, count = int(trace_guide.SIDE), self._device, self.count
+        across = -(-width // side)
+        row, column = np.divmod(np.arange(count), width)
+        self.block = row // side * across + column // side
+        blocks, held = int(self.block[-1]) // across * across + across, len(parts.node)
+        groups = self._scene.lights.group_count
+        guide = trace_guide.Guide()
+        guide.tops, guide.part_node, guide.leaf_part = parts.tops, parts.node, parts.leaf_part
+        guide.moment, guide.width, guide.across = parts.moment, width, across
+        facing = np.tile(np.float32([0.0, 0.0, 0.0, -1.0]), (count, 1))
+        guide.facing = wp.array(facing, dtype=wp.vec4f, device=device)
+        guide.glossy = wp.zeros(count, dtype=wp.int32, device=device)
+        guide.seen = wp.zeros((blocks, held, 3), dtype=wp.int32, device=device)
+        guide.sums = wp.zeros((blocks, parts.tops, 3), dtype=wp.float32, device=device)
+        guide.cone = wp.full(blocks, wp.vec4f(0.0, 0.0, 0.0, -1.0), dtype=wp.vec4f, device=device)
+        guide.kernel = wp.zeros(blocks, dtype=wp.vec2f, device=device)
+        guide.cumulative = wp.zeros((blocks, held), dtype=wp.float32, device=device)
+        guide.known = wp.zeros((blocks, held), dtype=wp.float32, device=device)
+        guide.given = wp.ones(blocks, dtype=wp.float32, device=device)
+        guide.change = wp.zeros((blocks, 4 * groups), dtype=wp.vec4f, device=device)
+        guide.changes = wp.zeros(blocks, dtype=wp.int32, device=device)
+        self._trace.guide = guide
 
     @property
     def mean(self) -> NDArray[np.float64]:
@@ -364,29 +418,28 @@ class _Tile:
         film.sample = each.offsets
         film.face = wp.empty((0, 0), dtype=wp.int32, device=device) if face is None else face
         self._trace.first_sample, self._trace.split = each.first, each.split
-        self._trace.first_camera = each.first_camera
+        self._trace.first_camera, self._trace.weight = each.first_camera, each.weight
         self._trace.pixel = wp.array(active, dtype=wp.int32, device=device)
         trace.trace_pass(
             self._scene.geometry, self._rays, self._scene.lights, self._scene.materials,
             self._trace, film,
         )  # fmt: skip
-        new = self._trace.luminance.numpy()[active].astype(np.float64)
-        more, before = each.count, self._taken[active]
-        if before.any():
-            apart = new / more - self._total[active] / before
-            self.variance[active] = apart**2 * before * more / (before + more) ** 2
-        self._total[active] += new
+        new = self._trace.luminance.numpy()[active].astype(np.float64) / each.count
+        more, before = each.weight * each.count, self._taken[active]
+        square, squares = each.weight * more, self._squares[active]
+        if before.any():  # of one sample by how far the two means are apart
+            apart = new - self._total[active] / before
+            single = apart**2 / (squares / before**2 + square / more**2)
+            self.variance[active] = single * (squares + square) / (before + more) ** 2
+        self._total[active] += more * new
         self._taken[active] += more
+        self._squares[active] += square
 
-    def weigh(self, active: NDArray[np.int32], width: int) -> None:
-        """Take from the maps what arrived in each block so far: a little where much is hidden."""
-        tally = self._trace.tally.numpy()[active].astype(np.float64)
-        owner = _blocks(active, width)
-        whole, lost = (np.bincount(owner, tally[:, k]) for k in (1, 2))
-        arrived = 1.0 + lost / np.where(whole > 0.0, whole, 1.0)
-        given = np.ones(self.count, np.float32)
-        given[active] = np.clip(arrived, LEAST_GIVEN, 1.0)[owner]
-        self._trace.given = wp.array(given, dtype=wp.float32, device=self._device)
+    def learn(self, active: NDArray[np.int32]) -> None:
+        """Have the blocks of some pixels know what they have counted so far."""
+        if len(self.block):
+            blocks = wp.array(np.unique(self.block[active]), dtype=wp.int32, device=self._device)
+            trace.learn(self._lights.tree, blocks, self._trace.guide)
 
     def finished(self) -> dict[str, NDArray[Any]]:
         """Return the tile's means and variances, and its tally."""
