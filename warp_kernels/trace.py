@@ -156,11 +156,15 @@ def _shade_directions(
                         arrived = 1.0 - crossing.clear
                 remember(trace.guide, block, sample.leaf, arrived)
             seen = float(0.0)
+            groups = int(lights.group_count)
             if crossing.length <= 0.0:
                 seen = crossing.clear
                 if sample.dome >= 0:
                     seen = seen * sample.density / (sample.density + lobes[2])
-            for g in range(lights.group_count):
+            changed = share.change != 0.0 or share.through > 0.0
+            if not changed and (seen <= 0.0 or lobes[0] + lobes[1] <= 0.0):
+                groups = 0  # spares reading the texel
+            for g in range(groups):
                 light = tree_light(trace.tree, sample, g)
                 weakened += shade_beam(
                     lights, materials, film, pixel, point, r, g, trace.weight * light, share
@@ -255,7 +259,10 @@ def _trace_kernel(
     rasterized = film.face.shape[0] > 0
     sharpness = 0.25
     times = wp.float32(trace.split)
+    half = wp.vec3f(0.0, 0.0, 0.0)
     for s in range(samples):
+        if s == (samples + 1) / 2:
+            half = sums
         number = trace.first_sample + s * trace.split
         lens = wp.vec2f(0.0, 0.0)
         if camera.lens_radius > 0.0:
@@ -327,7 +334,11 @@ def _trace_kernel(
     _finish(materials, film, trace, pixel, current)
     total = film.xyza[pixel]
     film.xyza[pixel] = wp.vec4f(total[0], total[1], total[2], total[3] + times * alpha)
-    trace.luminance[pixel] = sums[0] + (1.0 / trace.weight - 1.0) * sums[2]
+    if samples == 1:
+        half = sums
+    second = sums - half
+    again = 1.0 / trace.weight - 1.0
+    trace.luminance[pixel] = wp.vec2f(half[0] + again * half[2], second[0] + again * second[2])
     trace.tally[pixel] += wp.vec4f(sums[0], sums[1], sums[2], times * wp.float32(samples))
 
 

@@ -64,5 +64,6 @@ class Trace:
     """Sums over all passes: Y, unshadowed Y, Y that something weakened, samples, shape
     [tile_pixels]."""
 
-    luminance: wp.array[wp.float32]
-    """Sum of Y over this pass, shape [tile_pixels]."""
+    luminance: wp.array[wp.vec2f]
+    """Sums of Y over this pass's first and second half, ``weight`` taken off, shape
+    [tile_pixels]."""

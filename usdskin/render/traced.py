@@ -54,6 +54,9 @@ BLOCK = 4
 FIRST_SAMPLES = 16
 """Samples every pixel gets before any of them is judged."""
 
+SPLIT_CAMERAS = 4
+"""Least camera samples of a pass that takes several directions of light for each."""
+
 LARGEST_SPLIT = 4
 """Most directions of light for one camera sample: a surface point costs a fourth of a direction."""
 
@@ -249,7 +252,7 @@ def integrate_traced(
         tile = _Tile(scene, rays, lights, sobol, settings, begin, end, bands, parts, device)
         tile.film.show_dome = int(show_dome)
         active = np.arange(end - begin, dtype=np.int32)
-        if len(passes) > 1 and passes[0].weight != 1.0:
+        if passes[0].weight != 1.0:
             tile.guide(lights.parts, width)
             active = active[np.argsort(tile.block, kind="stable")]
         for number, each in enumerate(passes):
@@ -260,7 +263,7 @@ def integrate_traced(
                     projection, each.offsets, first // rows, width, first, (end - begin) // width
                 )
             tile.add(each, active, face)
-            if number and (each.first + each.count > FIRST_SAMPLES or not learns):
+            if each.first + each.count >= passes[0].first + FIRST_SAMPLES:
                 active = _unfinished(tile, active, width, settings)
                 if not len(active):
                     break
@@ -292,30 +295,29 @@ def _tile_rows(width: int, height: int, pixels: int) -> int:
 
 
 def _passes(settings: Sampling, device: str, *, sharp: bool, learns: bool) -> list[_Pass]:
-    """Return the passes: the first samples in two parts, and then as many as there are before.
+    """Return the passes: the first samples, and then as many as there are before.
 
     Later passes of a ``sharp`` picture take several directions of light for each camera sample:
-    what is noisy is the light. Every pass has its own camera samples. Where a block ``learns``, the
-    first part weighs little; the weights of all first samples add up to their count.
+    what is noisy is the light. Every pass has its own camera samples. Where blocks of pixels
+    ``learn``, the first samples are two passes: that to learn from weighs little, and the other
+    makes up for it. The two halves of a pass are evenly spread over the pixel.
     """
     samples, begin = settings.share.size(settings.samples), settings.share.first(settings.samples)
     first = min(samples, FIRST_SAMPLES)
     moved = 16 * settings.share.index  # more than there are passes
     offsets = sample_offsets(first, settings.pixel_filter, _shift(moved))
-    half, weights = (first + 1) // 2, (1.0, 1.0)
-    chosen = np.arange(first) % 2 == 0
+    found = [(0, 0, offsets, 1, 1.0)]
     if learns and first == FIRST_SAMPLES:
-        half = LEARNING
-        chosen = np.arange(first) % (first // half) == 0
-        weights = (LEARNING_WEIGHT, (first - LEARNING_WEIGHT * half) / (first - half))
-    found = [
-        (0, 0, offsets[chosen], 1, weights[0]),
-        (half, half, offsets[~chosen], 1, weights[1]),
-    ]
+        early = np.arange(first) % (first // LEARNING) == 0
+        late = (first - LEARNING_WEIGHT * LEARNING) / (first - LEARNING)
+        found = [
+            (0, 0, offsets[early], 1, LEARNING_WEIGHT),
+            (LEARNING, LEARNING, offsets[~early], 1, late),
+        ]
     taken = cameras_taken = first
     while taken < samples:
         more = min(taken, samples - taken)
-        split = min(LARGEST_SPLIT, max(1, more // FIRST_SAMPLES)) if sharp else 1
+        split = min(LARGEST_SPLIT, max(1, more // SPLIT_CAMERAS)) if sharp else 1
         cameras = max(1, more // split)
         shift = _shift(moved + len(found))
         offsets = sample_offsets(cameras, settings.pixel_filter, shift)
@@ -326,7 +328,7 @@ def _passes(settings: Sampling, device: str, *, sharp: bool, learns: bool) -> li
         _Pass(
             begin + at_sample,
             begin + at_camera,
-            wp.array(np.ascontiguousarray(at), dtype=wp.vec2f, device=device),
+            wp.array(np.concatenate([at[0::2], at[1::2]]), dtype=wp.vec2f, device=device),
             split,
             weight,
         )
@@ -376,11 +378,11 @@ class _Tile:
         self._trace.tally = wp.zeros(count, dtype=wp.vec4f, device=device)
         self._lights = lights
         self.block = np.zeros(0, np.int64)
-        self._trace.luminance = wp.zeros(count, dtype=wp.float32, device=device)
+        self._trace.luminance = wp.zeros(count, dtype=wp.vec2f, device=device)
         self.variance = np.zeros(count)
         self._total = np.zeros(count)
         self._taken = np.zeros(count)
-        self._squares = np.zeros(count)
+        self._spread = np.zeros(count)
 
     def guide(self, parts: LightParts, width: int) -> None:
         """Have blocks of pixels learn what they see; ``block`` is each pixel's."""
@@ -413,7 +415,10 @@ class _Tile:
         return np.asarray(self._total / np.maximum(self._taken, 1.0))
 
     def add(self, each: _Pass, active: NDArray[np.int32], face: Any) -> None:
-        """Take a pass of samples of some pixels, and judge the variance of their means by it."""
+        """Take a pass of samples of some pixels, and judge the variance of their means.
+
+        A pass's two halves are as far apart as its noise makes them.
+        """
         film, device = self.film, self._device
         film.sample = each.offsets
         film.face = wp.empty((0, 0), dtype=wp.int32, device=device) if face is None else face
@@ -424,16 +429,16 @@ class _Tile:
             self._scene.geometry, self._rays, self._scene.lights, self._scene.materials,
             self._trace, film,
         )  # fmt: skip
-        new = self._trace.luminance.numpy()[active].astype(np.float64) / each.count
-        more, before = each.weight * each.count, self._taken[active]
-        square, squares = each.weight * more, self._squares[active]
-        if before.any():  # of one sample by how far the two means are apart
-            apart = new - self._total[active] / before
-            single = apart**2 / (squares / before**2 + square / more**2)
-            self.variance[active] = single * (squares + square) / (before + more) ** 2
-        self._total[active] += more * new
-        self._taken[active] += more
-        self._squares[active] += square
+        halves = self._trace.luminance.numpy()[active].astype(np.float64)
+        first = (len(each.offsets) + 1) // 2
+        counts = np.array([first, len(each.offsets) - first]) * each.split
+        means = halves / np.maximum(counts, 1)
+        weight = each.weight * each.count
+        apart = (means[:, 0] - means[:, 1]) * (weight / each.count)
+        self._spread[active] += apart**2 * counts.prod()
+        self._total[active] += each.weight * halves.sum(axis=1)
+        self._taken[active] += weight
+        self.variance[active] = self._spread[active] / self._taken[active] ** 2
 
     def learn(self, active: NDArray[np.int32]) -> None:
         """Have the blocks of some pixels know what they have counted so far."""
