@@ -105,10 +105,10 @@ def _draw(trace: Trace, key: wp.uint32, index: wp.int32, first: wp.int32) -> wp.
 @wp.func
 def _shade_directions(
     geometry: Geometry, lights: Lights, materials: Materials, film: Film, trace: Trace,
-    pixel: wp.int32, key: wp.uint32, index: wp.int32, point: Point, r: Reflection,
+    pixel: wp.int32, key: wp.uint32, first: wp.int32, point: Point, r: Reflection,
     block: wp.int32, guided: wp.bool,
 ) -> wp.vec3f:  # fmt: skip
-    """Deposit one direction from each kind of light; return Y, and of it what was weakened.
+    """Deposit a point's directions from each kind of light; return Y, and of it what was weakened.
 
     ``block`` is that of the pixel, -1 where nothing is learnt; ``guided`` whether it answers here.
     """
@@ -122,67 +122,68 @@ def _shade_directions(
     wrap = lights.wrap[materials.wrap_set[m]]
     weakened = float(0.0)
     y = float(0.0)
-    u = _draw(trace, key, index, LIGHT_DIMENSION)
-    sample = TreeSample()
-    given = float(1.0)
-    if guided:
-        sample = sample_guided(trace.tree, trace.guide, block, point.normal, wrap, mix, u)
-        given = trace.guide.known[block, trace.guide.leaf_part[sample.leaf]]
-    else:
-        sample = sample_tree(trace.tree, point.normal, wrap, mix, u)
-        if block >= 0:
-            given = trace.guide.given[block]
-    if sample.scale > 0.0:
-        number = light_number(trace.tree, sample)
-        lobes = wp.vec3f(0.0, 0.0, 0.0)
+    for index in range(first, first + trace.split):
+        u = _draw(trace, key, index, LIGHT_DIMENSION)
+        sample = TreeSample()
+        given = float(1.0)
+        if guided:
+            sample = sample_guided(trace.tree, trace.guide, block, point.normal, wrap, mix, u)
+            given = trace.guide.known[block, trace.guide.leaf_part[sample.leaf]]
+        else:
+            sample = sample_tree(trace.tree, point.normal, wrap, mix, u)
+            if block >= 0:
+                given = trace.guide.given[block]
+        if sample.scale > 0.0:
+            number = light_number(trace.tree, sample)
+            lobes = wp.vec3f(0.0, 0.0, 0.0)
+            if glossy:
+                lobes = lobes_towards(materials, point, r, sample.direction)
+            reached = reaches(lights.links, point.prim, number)
+            x = wp.dot(point.normal, sample.direction)
+            lit = r.diffuse > 0.0 and x > wp.where(own >= 0, -wrap, 0.0)
+            if reached and (lit or lobes[0] + lobes[1] > 0.0):
+                crossing = cross_bodies(
+                    geometry, materials, origin_on(materials, point),
+                    sample.direction, FAR, own,
+                    materials.passage_limit[m], lights.links, number,
+                )  # fmt: skip
+                share = beam_share(lights, materials, point, sample.direction, crossing, given)
+                if block >= 0 and lit:
+                    arrived = float(crossing.clear)
+                    if materials.passage_rank[m] > 0:
+                        if crossing.length > 0.0:
+                            arrived = 0.0
+                        if x <= 0.0:
+                            arrived = 1.0 - crossing.clear
+                    remember(trace.guide, block, sample.leaf, arrived)
+                seen = float(0.0)
+                groups = int(lights.group_count)
+                if crossing.length <= 0.0:
+                    seen = crossing.clear
+                    if sample.dome >= 0:
+                        seen = seen * sample.density / (sample.density + lobes[2])
+                changed = share.change != 0.0 or share.through > 0.0
+                if not changed and (seen <= 0.0 or lobes[0] + lobes[1] <= 0.0):
+                    groups = 0  # spares reading the texel
+                for g in range(groups):
+                    light = tree_light(trace.tree, sample, g)
+                    weakened += shade_beam(
+                        lights, materials, film, pixel, point, r, g, trace.weight * light, share
+                    )
+                    if lobes[0] + lobes[1] > 0.0 and seen > 0.0:
+                        y += deposit_gloss(lights, materials, film, pixel, m, r, g, seen * light, lobes)
+        for k in range(trace.local.count):
+            y += shade_local_light(
+                geometry, lights, materials, film, trace, pixel, key, index, point, r, own, k
+            )
         if glossy:
-            lobes = lobes_towards(materials, point, r, sample.direction)
-        reached = reaches(lights.links, point.prim, number)
-        x = wp.dot(point.normal, sample.direction)
-        lit = r.diffuse > 0.0 and x > wp.where(own >= 0, -wrap, 0.0)
-        if reached and (lit or lobes[0] + lobes[1] > 0.0):
-            crossing = cross_bodies(
-                geometry, materials, origin_on(materials, point),
-                sample.direction, FAR, own,
-                materials.passage_limit[m], lights.links, number,
+            u = _draw(trace, key, index, GLOSS_DIMENSION)
+            y += shine(
+                geometry, lights, materials, film, trace, pixel, point, r, own, mix, u,
+                wp.where(guided, block, -1),
             )  # fmt: skip
-            share = beam_share(lights, materials, point, sample.direction, crossing, given)
-            if block >= 0 and lit:
-                arrived = float(crossing.clear)
-                if materials.passage_rank[m] > 0:
-                    if crossing.length > 0.0:
-                        arrived = 0.0
-                    if x <= 0.0:
-                        arrived = 1.0 - crossing.clear
-                remember(trace.guide, block, sample.leaf, arrived)
-            seen = float(0.0)
-            groups = int(lights.group_count)
-            if crossing.length <= 0.0:
-                seen = crossing.clear
-                if sample.dome >= 0:
-                    seen = seen * sample.density / (sample.density + lobes[2])
-            changed = share.change != 0.0 or share.through > 0.0
-            if not changed and (seen <= 0.0 or lobes[0] + lobes[1] <= 0.0):
-                groups = 0  # spares reading the texel
-            for g in range(groups):
-                light = tree_light(trace.tree, sample, g)
-                weakened += shade_beam(
-                    lights, materials, film, pixel, point, r, g, trace.weight * light, share
-                )
-                if lobes[0] + lobes[1] > 0.0 and seen > 0.0:
-                    y += deposit_gloss(lights, materials, film, pixel, m, r, g, seen * light, lobes)
-    for k in range(trace.local.count):
-        y += shade_local_light(
-            geometry, lights, materials, film, trace, pixel, key, index, point, r, own, k
-        )
-    if glossy:
-        u = _draw(trace, key, index, GLOSS_DIMENSION)
-        y += shine(
-            geometry, lights, materials, film, trace, pixel, point, r, own, mix, u,
-            wp.where(guided, block, -1),
-        )  # fmt: skip
-    if materials.sent_count > 0 and r.diffuse > 0.0:
-        y += bounce(geometry, lights, materials, film, trace, pixel, key, index, point, r)
+        if materials.sent_count > 0 and r.diffuse > 0.0:
+            y += bounce(geometry, lights, materials, film, trace, pixel, key, index, point, r)
     return wp.vec3f(weakened + y, 0.0, weakened)
 
 
@@ -314,11 +315,10 @@ def _trace_kernel(
                         lights, materials, film, pixel, point, scaled, trace.guide, block
                     )
                     sums += wp.vec3f(changed, 0.0, changed)
-                for k in range(trace.split):
-                    sums += _shade_directions(
-                        geometry, lights, materials, film, trace, pixel, layer_key, number + k,
-                        point, r, block, guided,
-                    )  # fmt: skip
+                sums += _shade_directions(
+                    geometry, lights, materials, film, trace, pixel, layer_key, number, point,
+                    r, block, guided,
+                )  # fmt: skip
             alpha += clear * opacity
             clear = clear * (1.0 - opacity)
             start = beyond(met.distance)
