@@ -57,6 +57,10 @@ FIRST_SAMPLES = 16
 SPLIT_CAMERAS = 4
 """Least camera samples of a pass that takes several directions of light for each."""
 
+TYPICAL_NOISE = 0.1
+"""Standard deviation of one sample, relative to its pixel, at which a pixel's error is the target
+error when its sampling stops."""
+
 LARGEST_SPLIT = 4
 """Most directions of light for one camera sample: a surface point costs a fourth of a direction."""
 
@@ -263,8 +267,9 @@ def integrate_traced(
                     projection, each.offsets, first // rows, width, first, (end - begin) // width
                 )
             tile.add(each, active, face)
-            if each.first + each.count >= passes[0].first + FIRST_SAMPLES:
-                active = _unfinished(tile, active, width, settings)
+            taken = each.first + each.count - passes[0].first
+            if taken >= FIRST_SAMPLES:
+                active = _unfinished(tile, active, width, settings, taken)
                 if not len(active):
                     break
             tile.learn(active)
@@ -462,16 +467,22 @@ class _Tile:
 
 
 def _unfinished(
-    tile: _Tile, active: NDArray[np.int32], width: int, settings: Sampling
+    tile: _Tile, active: NDArray[np.int32], width: int, settings: Sampling, taken: int
 ) -> NDArray[np.int32]:
-    """Return the pixels of the blocks whose error is still above the target."""
+    """Return the pixels of the blocks whose error is still above the target.
+
+    The error of a picture falls most where samples go in proportion to noise, not to its square, as
+    they would if every block were held to the same error. So a block is held to the target times
+    the root of its samples over those that ``TYPICAL_NOISE`` would need.
+    """
     if settings.target_error <= 0.0:
         return active
     owner = _blocks(active, width)
     sizes = np.bincount(owner)
     variance = np.bincount(owner, tile.variance[active]) / sizes
     level = np.maximum(np.bincount(owner, tile.mean[active]) / sizes, settings.floor)
-    keep = variance > (settings.target_error * level) ** 2
+    allowed = settings.target_error**2 * np.sqrt(taken) / TYPICAL_NOISE
+    keep = variance > (allowed * level) ** 2
     return np.asarray(active[keep[owner]])
 
 
