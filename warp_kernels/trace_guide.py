@@ -28,13 +28,13 @@ wp.set_module_options({"enable_backward": False})
 SIDE = wp.constant(8)
 """Side of a block [px]."""
 
-EVEN = wp.constant(0.25)
+EVEN = wp.constant(0.35)
 """Share of the plain density that is kept."""
 
 GLOSSY_EVEN = wp.constant(0.6)
 """More of it, where light that arrives is reflected."""
 
-PRIOR = wp.constant(2.0)
+PRIOR = wp.constant(4.0)
 """Directions that what is known of a node's parent counts for."""
 
 LEAST_GIVEN = wp.constant(0.25)
