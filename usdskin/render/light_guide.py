@@ -18,7 +18,7 @@ from usdskin.device import vec3, vec4
 from usdskin.render.lights import Lights
 from usdskin.warp_kernels import light_tree, trace
 
-PARTS = 256
+PARTS = 512
 """Most parts that the light is cut into."""
 
 

@@ -305,7 +305,8 @@ def _passes(settings: Sampling, device: str, *, sharp: bool, learns: bool) -> li
     Later passes of a ``sharp`` picture take several directions of light for each camera sample:
     what is noisy is the light. Every pass has its own camera samples. Where blocks of pixels
     ``learn``, the first samples are two passes: that to learn from weighs little, and the other
-    makes up for it. The two halves of a pass are evenly spread over the pixel.
+    makes up for it, with two directions for
+    each camera sample where the picture is sampled by its error. The two halves of a pass are evenly spread over the pixel.
     """
     samples, begin = settings.share.size(settings.samples), settings.share.first(settings.samples)
     first = min(samples, FIRST_SAMPLES)
@@ -313,13 +314,19 @@ def _passes(settings: Sampling, device: str, *, sharp: bool, learns: bool) -> li
     offsets = sample_offsets(first, settings.pixel_filter, _shift(moved))
     found = [(0, 0, offsets, 1, 1.0)]
     if learns and first == FIRST_SAMPLES:
+        rest = first - LEARNING
+        late = (first - LEARNING_WEIGHT * LEARNING) / rest
         early = np.arange(first) % (first // LEARNING) == 0
-        late = (first - LEARNING_WEIGHT * LEARNING) / (first - LEARNING)
+        chosen, others, split = offsets[early], offsets[~early], 1
+        if settings.target_error > 0.0 and sharp:
+            chosen = sample_offsets(LEARNING, settings.pixel_filter, _shift(moved))
+            others = sample_offsets(rest // 2, settings.pixel_filter, _shift(moved + 1))
+            split = 2
         found = [
-            (0, 0, offsets[early], 1, LEARNING_WEIGHT),
-            (LEARNING, LEARNING, offsets[~early], 1, late),
+            (0, 0, chosen, 1, LEARNING_WEIGHT),
+            (LEARNING, LEARNING, others, split, late),
         ]
-    taken = cameras_taken = first
+    taken, cameras_taken = first, sum(len(at) for _, _, at, _, _ in found)
     while taken < samples:
         more = min(taken, samples - taken)
         split = min(LARGEST_SPLIT, max(1, more // SPLIT_CAMERAS)) if sharp else 1
