@@ -108,9 +108,10 @@ def _shade_directions(
     pixel: wp.int32, key: wp.uint32, first: wp.int32, point: Point, r: Reflection,
     block: wp.int32, guided: wp.bool,
 ) -> wp.vec3f:  # fmt: skip
-    """Deposit a point's directions from each kind of light; return Y, and of it what was weakened.
+    """Deposit a point's directions from each kind of light.
 
-    ``block`` is that of the pixel, -1 where nothing is learnt; ``guided`` whether it answers here.
+    Returns Y, the Y of the first half of the directions without ``trace.weight``, and of all Y what
+    was weakened. ``block`` is that of the pixel, -1 where nothing is learnt; ``guided`` whether it answers here.
     """
     m = point.material
     own = int(-1)
@@ -122,7 +123,10 @@ def _shade_directions(
     wrap = lights.wrap[materials.wrap_set[m]]
     weakened = float(0.0)
     y = float(0.0)
+    half = float(0.0)
     for index in range(first, first + trace.split):
+        if index == first + trace.split / 2:
+            half = y + weakened / trace.weight
         u = _draw(trace, key, index, LIGHT_DIMENSION)
         sample = TreeSample()
         given = float(1.0)
@@ -184,7 +188,7 @@ def _shade_directions(
             )  # fmt: skip
         if materials.sent_count > 0 and r.diffuse > 0.0:
             y += bounce(geometry, lights, materials, film, trace, pixel, key, index, point, r)
-    return wp.vec3f(weakened + y, 0.0, weakened)
+    return wp.vec3f(weakened + y, half, weakened)
 
 
 @wp.func
@@ -260,10 +264,12 @@ def _trace_kernel(
     rasterized = film.face.shape[0] > 0
     sharpness = 0.25
     times = wp.float32(trace.split)
-    half = wp.vec3f(0.0, 0.0, 0.0)
+    noise = wp.vec2f(0.0, 0.0)
+    early = wp.vec3f(0.0, 0.0, 0.0)
     for s in range(samples):
+        late = 2 * s / samples
         if s == (samples + 1) / 2:
-            half = sums
+            early = sums
         number = trace.first_sample + s * trace.split
         lens = wp.vec2f(0.0, 0.0)
         if camera.lens_radius > 0.0:
@@ -315,10 +321,17 @@ def _trace_kernel(
                         lights, materials, film, pixel, point, scaled, trace.guide, block
                     )
                     sums += wp.vec3f(changed, 0.0, changed)
-                sums += _shade_directions(
+                added = _shade_directions(
                     geometry, lights, materials, film, trace, pixel, layer_key, number, point,
                     r, block, guided,
                 )  # fmt: skip
+                sums += wp.vec3f(added[0], 0.0, added[2])
+                plain = added[0] + (1.0 / trace.weight - 1.0) * added[2]
+                if trace.split > 1:
+                    noise[0] += added[1]
+                    noise[1] += plain - added[1]
+                else:
+                    noise[late] += plain
             alpha += clear * opacity
             clear = clear * (1.0 - opacity)
             start = beyond(met.distance)
@@ -335,10 +348,12 @@ def _trace_kernel(
     total = film.xyza[pixel]
     film.xyza[pixel] = wp.vec4f(total[0], total[1], total[2], total[3] + times * alpha)
     if samples == 1:
-        half = sums
-    second = sums - half
+        early = sums
     again = 1.0 / trace.weight - 1.0
-    trace.luminance[pixel] = wp.vec2f(half[0] + again * half[2], second[0] + again * second[2])
+    early_y = early[0] + again * early[2]
+    trace.luminance[pixel] = wp.vec4f(
+        noise[0], noise[1], early_y, sums[0] + again * sums[2] - early_y
+    )
     trace.tally[pixel] += wp.vec4f(sums[0], sums[1], sums[2], times * wp.float32(samples))
 
 

@@ -64,6 +64,7 @@ class Trace:
     """Sums over all passes: Y, unshadowed Y, Y that something weakened, samples, shape
     [tile_pixels]."""
 
-    luminance: wp.array[wp.vec2f]
-    """Sums of Y over this pass's first and second half, ``weight`` taken off, shape
-    [tile_pixels]."""
+    luminance: wp.array[wp.vec4f]
+    """Sums of Y over two halves of this pass, ``weight`` taken off: of what directions add, in halves
+    that share their camera samples where these take more than one; and of all, in halves of the
+    camera samples. Shape [tile_pixels]."""

@@ -57,9 +57,13 @@ FIRST_SAMPLES = 16
 SPLIT_CAMERAS = 4
 """Least camera samples of a pass that takes several directions of light for each."""
 
-TYPICAL_NOISE = 0.1
-"""Standard deviation of one sample, relative to its pixel, at which a pixel's error is the target
-error when its sampling stops."""
+LARGE_NOISE = 0.15
+"""Standard deviation of one sample, relative to its pixel, from which on a pixel is held to the
+target error; quieter ones are held to less, by the root of their noise over this."""
+
+EDGES = 0.25
+"""Share of the squared distance of two halves of a pass that is counted as error where it comes from
+edges: the halves lie between one another, so that together they err less."""
 
 LARGEST_SPLIT = 4
 """Most directions of light for one camera sample: a surface point costs a fourth of a direction."""
@@ -390,11 +394,11 @@ class _Tile:
         self._trace.tally = wp.zeros(count, dtype=wp.vec4f, device=device)
         self._lights = lights
         self.block = np.zeros(0, np.int64)
-        self._trace.luminance = wp.zeros(count, dtype=wp.vec2f, device=device)
+        self._trace.luminance = wp.zeros(count, dtype=wp.vec4f, device=device)
         self.variance = np.zeros(count)
-        self._total = np.zeros(count)
         self._taken = np.zeros(count)
-        self._spread = np.zeros(count)
+        self.doubt = np.zeros(count)
+        self._spread = np.zeros((count, 2))
 
     def guide(self, parts: LightParts, width: int) -> None:
         """Have blocks of pixels learn what they see; ``block`` is each pixel's."""
@@ -424,12 +428,14 @@ class _Tile:
     @property
     def mean(self) -> NDArray[np.float64]:
         """Y of every pixel so far."""
-        return np.asarray(self._total / np.maximum(self._taken, 1.0))
+        tally = self._trace.tally.numpy()
+        return np.asarray(tally[:, 0] / np.maximum(tally[:, 3], 1.0), np.float64)
 
     def add(self, each: _Pass, active: NDArray[np.int32], face: Any) -> None:
         """Take a pass of samples of some pixels, and judge the variance of their means.
 
-        A pass's two halves are as far apart as its noise makes them.
+        A pass's two halves are as far apart as its noise makes them. ``variance`` is that of the
+        light; ``doubt`` holds what the places of the camera samples make of edges, too.
         """
         film, device = self.film, self._device
         film.sample = each.offsets
@@ -441,16 +447,20 @@ class _Tile:
             self._scene.geometry, self._rays, self._scene.lights, self._scene.materials,
             self._trace, film,
         )  # fmt: skip
-        halves = self._trace.luminance.numpy()[active].astype(np.float64)
-        first = (len(each.offsets) + 1) // 2
-        counts = np.array([first, len(each.offsets) - first]) * each.split
-        means = halves / np.maximum(counts, 1)
-        weight = each.weight * each.count
-        apart = (means[:, 0] - means[:, 1]) * (weight / each.count)
-        self._spread[active] += apart**2 * counts.prod()
-        self._total[active] += each.weight * halves.sum(axis=1)
-        self._taken[active] += weight
-        self.variance[active] = self._spread[active] / self._taken[active] ** 2
+        sums = self._trace.luminance.numpy()[active].astype(np.float64)
+        cameras, split = len(each.offsets), each.split
+        first = (cameras + 1) // 2
+        shares = [first * split, (cameras - first) * split]
+        noisy = [cameras * (split // 2), cameras * (split - split // 2)] if split > 1 else shares
+        self._taken[active] += each.weight * each.count
+        for k, counts in enumerate((noisy, shares)):
+            first_mean, second_mean = (sums[:, 2 * k + j] / max(counts[j], 1) for j in range(2))
+            self._spread[active, k] += (
+                each.weight**2 * counts[0] * counts[1] * (first_mean - second_mean) ** 2
+            )
+        spread = self._spread[active] / self._taken[active, None] ** 2
+        self.variance[active] = spread[:, 0]
+        self.doubt[active] = np.maximum(spread[:, 0], EDGES * spread[:, 1])
 
     def learn(self, active: NDArray[np.int32]) -> None:
         """Have the blocks of some pixels know what they have counted so far."""
@@ -478,17 +488,18 @@ def _unfinished(
 ) -> NDArray[np.int32]:
     """Return the pixels of the blocks whose error is still above the target.
 
-    The error of a picture falls most where samples go in proportion to noise, not to its square, as
-    they would if every block were held to the same error. So a block is held to the target times
-    the root of its samples over those that ``TYPICAL_NOISE`` would need.
+    The error of a picture falls most where samples go in proportion to noise, not to its square as
+    they would if all blocks were held to one error. So the target is what the noisiest blocks are
+    held to, from ``LARGE_NOISE`` on; quieter ones, whose samples are few, are held to less.
     """
     if settings.target_error <= 0.0:
         return active
     owner = _blocks(active, width)
     sizes = np.bincount(owner)
-    variance = np.bincount(owner, tile.variance[active]) / sizes
+    variance = np.bincount(owner, tile.doubt[active]) / sizes
     level = np.maximum(np.bincount(owner, tile.mean[active]) / sizes, settings.floor)
-    allowed = settings.target_error**2 * np.sqrt(taken) / TYPICAL_NOISE
+    allowed = settings.target_error**2 * np.sqrt(taken) / LARGE_NOISE
+    allowed = min(allowed, settings.target_error)
     keep = variance > (allowed * level) ** 2
     return np.asarray(active[keep[owner]])
 
