@@ -31,7 +31,12 @@ from usdskin.warp_kernels.skin import reflect_skin, shade_skin
 from usdskin.warp_kernels.structs import CameraRays, Film, Geometry, Lights, Materials
 from usdskin.warp_kernels.surface import Point
 from usdskin.warp_kernels.trace_bounce import bounce
-from usdskin.warp_kernels.trace_diffuse import beam_share, shade_beam, shade_local_light
+from usdskin.warp_kernels.trace_diffuse import (
+    beam_share,
+    shade_beam,
+    shade_local_light,
+    straight_y,
+)
 from usdskin.warp_kernels.trace_gloss import deposit_gloss, lobes_towards, shine
 from usdskin.warp_kernels.trace_guide import (
     Guide,
@@ -152,14 +157,6 @@ def _shade_directions(
                     materials.passage_limit[m], lights.links, number,
                 )  # fmt: skip
                 share = beam_share(lights, materials, point, sample.direction, crossing, given)
-                if block >= 0 and lit:
-                    arrived = float(crossing.clear)
-                    if materials.passage_rank[m] > 0:
-                        if crossing.length > 0.0:
-                            arrived = 0.0
-                        if x <= 0.0:
-                            arrived = 1.0 - crossing.clear
-                    remember(trace.guide, block, sample.leaf, arrived)
                 seen = float(0.0)
                 groups = int(lights.group_count)
                 if crossing.length <= 0.0:
@@ -169,13 +166,27 @@ def _shade_directions(
                 changed = share.change != 0.0 or share.through > 0.0
                 if not changed and (seen <= 0.0 or lobes[0] + lobes[1] <= 0.0):
                     groups = 0  # spares reading the texel
+                change = float(0.0)
+                straight = float(0.0)
                 for g in range(groups):
                     light = tree_light(trace.tree, sample, g)
-                    weakened += shade_beam(
+                    change += shade_beam(
                         lights, materials, film, pixel, point, r, g, trace.weight * light, share
                     )
+                    if share.through > 0.0:
+                        straight += straight_y(lights, materials, point, r, g, light, share)
                     if lobes[0] + lobes[1] > 0.0 and seen > 0.0:
-                        y += deposit_gloss(lights, materials, film, pixel, m, r, g, seen * light, lobes)
+                        y += deposit_gloss(
+                            lights, materials, film, pixel, m, r, g, seen * light, lobes
+                        )
+                weakened += change
+                if block >= 0 and lit:
+                    arrived = given + share.change
+                    if share.through > 0.0 and straight != 0.0:
+                        arrived = given + change / (trace.weight * straight)
+                    if materials.passage_rank[m] > 0 and x <= 0.0:
+                        arrived = given - (arrived - given)  # nothing is given of it
+                    remember(trace.guide, block, sample.leaf, wp.clamp(arrived, 0.0, 1.0))
         for k in range(trace.local.count):
             y += shade_local_light(
                 geometry, lights, materials, film, trace, pixel, key, index, point, r, own, k
