@@ -115,8 +115,9 @@ def _shade_directions(
 ) -> wp.vec3f:  # fmt: skip
     """Deposit a point's directions from each kind of light.
 
-    Returns Y, the Y of the first half of the directions without ``trace.weight``, and of all Y what
-    was weakened. ``block`` is that of the pixel, -1 where nothing is learnt; ``guided`` whether it answers here.
+    Returns Y, the Y of the first half of the directions without ``trace.weight``, and of all Y
+    what was weakened. ``block`` is that of the pixel, -1 where nothing is learnt; ``guided``
+    whether it answers here.
     """
     m = point.material
     own = int(-1)

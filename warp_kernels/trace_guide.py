@@ -17,7 +17,6 @@ from usdskin.warp_kernels.light_tree import (
     chance_below,
     ramp,
     sample_below,
-    sample_tree,
 )
 from usdskin.warp_kernels.reflection import Reflection, base_weight, deposit
 from usdskin.warp_kernels.structs import Film, Lights, Materials

@@ -65,6 +65,6 @@ class Trace:
     [tile_pixels]."""
 
     luminance: wp.array[wp.vec4f]
-    """Sums of Y over two halves of this pass, ``weight`` taken off: of what directions add, in halves
-    that share their camera samples where these take more than one; and of all, in halves of the
-    camera samples. Shape [tile_pixels]."""
+    """Sums of Y over two halves of this pass, ``weight`` taken off: of what directions add, in
+    halves that share their camera samples where these take more than one; and of all, in halves of
+    the camera samples. Shape [tile_pixels]."""

@@ -57,13 +57,13 @@ FIRST_SAMPLES = 16
 SPLIT_CAMERAS = 4
 """Least camera samples of a pass that takes several directions of light for each."""
 
-LARGE_NOISE = 0.15
+TYPICAL_NOISE = 0.1
 """Standard deviation of one sample, relative to its pixel, from which on a pixel is held to the
 target error; quieter ones are held to less, by the root of their noise over this."""
 
 EDGES = 0.25
-"""Share of the squared distance of two halves of a pass that is counted as error where it comes from
-edges: the halves lie between one another, so that together they err less."""
+"""Share of the squared distance of two halves of a pass that is counted as error where it comes
+from edges: the halves lie between one another, so that together they err less."""
 
 LARGEST_SPLIT = 4
 """Most directions of light for one camera sample: a surface point costs a fourth of a direction."""
@@ -263,7 +263,7 @@ def integrate_traced(
         if passes[0].weight != 1.0:
             tile.guide(lights.parts, width)
             active = active[np.argsort(tile.block, kind="stable")]
-        for number, each in enumerate(passes):
+        for each in passes:
             face = None
             if projection is not None:
                 first = begin // width
@@ -309,8 +309,7 @@ def _passes(settings: Sampling, device: str, *, sharp: bool, learns: bool) -> li
     Later passes of a ``sharp`` picture take several directions of light for each camera sample:
     what is noisy is the light. Every pass has its own camera samples. Where blocks of pixels
     ``learn``, the first samples are two passes: that to learn from weighs little, and the other
-    makes up for it, with two directions for
-    each camera sample where the picture is sampled by its error. The two halves of a pass are evenly spread over the pixel.
+    makes up for it. The two halves of a pass are evenly spread over the pixel.
     """
     samples, begin = settings.share.size(settings.samples), settings.share.first(settings.samples)
     first = min(samples, FIRST_SAMPLES)
@@ -321,16 +320,11 @@ def _passes(settings: Sampling, device: str, *, sharp: bool, learns: bool) -> li
         rest = first - LEARNING
         late = (first - LEARNING_WEIGHT * LEARNING) / rest
         early = np.arange(first) % (first // LEARNING) == 0
-        chosen, others, split = offsets[early], offsets[~early], 1
-        if settings.target_error > 0.0 and sharp:
-            chosen = sample_offsets(LEARNING, settings.pixel_filter, _shift(moved))
-            others = sample_offsets(rest // 2, settings.pixel_filter, _shift(moved + 1))
-            split = 2
         found = [
-            (0, 0, chosen, 1, LEARNING_WEIGHT),
-            (LEARNING, LEARNING, others, split, late),
+            (0, 0, offsets[early], 1, LEARNING_WEIGHT),
+            (LEARNING, LEARNING, offsets[~early], 1, late),
         ]
-    taken, cameras_taken = first, sum(len(at) for _, _, at, _, _ in found)
+    taken = cameras_taken = first
     while taken < samples:
         more = min(taken, samples - taken)
         split = min(LARGEST_SPLIT, max(1, more // SPLIT_CAMERAS)) if sharp else 1
@@ -489,8 +483,8 @@ def _unfinished(
     """Return the pixels of the blocks whose error is still above the target.
 
     The error of a picture falls most where samples go in proportion to noise, not to its square as
-    they would if all blocks were held to one error. So the target is what the noisiest blocks are
-    held to, from ``LARGE_NOISE`` on; quieter ones, whose samples are few, are held to less.
+    they would if all blocks were held to one error. So quieter blocks, whose samples are few, are
+    held to less than the target.
     """
     if settings.target_error <= 0.0:
         return active
@@ -498,7 +492,7 @@ def _unfinished(
     sizes = np.bincount(owner)
     variance = np.bincount(owner, tile.doubt[active]) / sizes
     level = np.maximum(np.bincount(owner, tile.mean[active]) / sizes, settings.floor)
-    allowed = settings.target_error**2 * np.sqrt(taken) / LARGE_NOISE
+    allowed = settings.target_error**2 * np.sqrt(taken) / TYPICAL_NOISE
     allowed = min(allowed, settings.target_error)
     keep = variance > (allowed * level) ** 2
     return np.asarray(active[keep[owner]])
