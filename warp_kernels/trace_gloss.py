@@ -12,7 +12,7 @@ from usdskin.warp_kernels.reflection import Reflection, deposit
 from usdskin.warp_kernels.sampling import TWO_PI, around
 from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
 from usdskin.warp_kernels.surface import Point
-from usdskin.warp_kernels.trace_guide import guided_density
+from usdskin.warp_kernels.trace_guide import part_density
 from usdskin.warp_kernels.trace_structs import FAR, Trace
 from usdskin.warp_kernels.visibility import cross_bodies, origin_on
 
@@ -142,7 +142,7 @@ def shine(
                 texel = dome_texel_towards(trace.tree, dome, toward)
                 other = float(0.0)
                 if block >= 0:
-                    other = guided_density(
+                    other = part_density(
                         trace.tree, trace.guide, block, dome, texel, point.normal, wrap, mix
                     )
                 else:

@@ -129,7 +129,7 @@ def is_guided(
 
 
 @wp.func
-def sample_guided(
+def sample_part(
     tree: LightTree, guide: Guide, block: wp.int32, normal: wp.vec3f, wrap: wp.float32,
     mix: wp.float32, u: wp.vec3f,
 ) -> TreeSample:  # fmt: skip
@@ -155,11 +155,11 @@ def sample_guided(
 
 
 @wp.func
-def guided_density(
+def part_density(
     tree: LightTree, guide: Guide, block: wp.int32, dome: wp.int32, texel: wp.int32,
     normal: wp.vec3f, wrap: wp.float32, mix: wp.float32,
 ) -> wp.float32:  # fmt: skip
-    """Return the density [1/sr] with which ``sample_guided`` chooses directions in a texel."""
+    """Return the density [1/sr] with which ``sample_part`` chooses directions in a texel."""
     leaf = tree.dome_leaf[tree.dome_first[dome][1] + texel]
     if leaf < 0:
         return 0.0
