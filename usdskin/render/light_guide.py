@@ -121,7 +121,8 @@ def _leaf_moments(
         ], axis=-1)  # fmt: skip
         column = np.stack([-np.diff(np.cos(turn)), -np.diff(np.sin(turn)), np.diff(turn)], axis=-1)
         trace.dome_moments(tree, index, vec3(row, device), vec3(column, device), total)
-    found = total.numpy().reshape(count, group_count, 4, 4).astype(np.float64)
+    found: NDArray[np.float64] = np.zeros((count, group_count, 4, 4))
+    found += total.numpy().reshape(found.shape)
     for index, dome in enumerate(lights.domes):
         mine = owner == index
         found[mine, :, :3] = np.einsum("ij,lgjc->lgic", dome.to_world, found[mine, :, :3])

@@ -83,7 +83,7 @@ class Tile:
         guide = trace_guide.Guide()
         guide.tops, guide.part_node, guide.leaf_part = parts.tops, parts.node, parts.leaf_part
         guide.moment, guide.width, guide.across = parts.moment, width, across
-        facing = np.tile(np.float32([0.0, 0.0, 0.0, -1.0]), (count, 1))
+        facing = np.tile(np.array([0.0, 0.0, 0.0, -1.0], np.float32), (count, 1))
         guide.facing = wp.array(facing, dtype=wp.vec4f, device=device)
         guide.glossy = wp.zeros(count, dtype=wp.int32, device=device)
         guide.seen = wp.zeros((blocks, held, 3), dtype=wp.int32, device=device)
