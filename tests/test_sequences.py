@@ -14,7 +14,7 @@ from light_stages import write_rgb
 from usdskin.errors import ImageError
 from usdskin.images import read_image
 from usdskin.progress import SilentProgress
-from usdskin.render import domes, light_maps, scene, traced, uploading
+from usdskin.render import domes, light_maps, scene, traced_lights, uploading
 from usdskin.render import render as rendering
 from usdskin.render.frame_writer import OVERLAP_BYTES, FrameWriter
 from usdskin.render.overrides import RenderOverrides
@@ -108,7 +108,7 @@ READERS = {
     "maps": (light_maps, "bake_maps"),
     "upload": (uploading, "_upload_geometry"),
     "tables": (uploading, "build_surfaces"),
-    "tree": (traced, "build_light_tree"),
+    "tree": (traced_lights, "build_light_tree"),
 }
 
 

@@ -25,6 +25,7 @@ from traced_scenes import (
 
 from usdskin.device import Workers
 from usdskin.render import traced
+from usdskin.render import traced_passes as passes
 from usdskin.render.render import ERROR_FLOOR
 from usdskin.render.scene import mean_white
 
@@ -411,6 +412,31 @@ def test_visibility_below_a_lid_is_what_the_lid_leaves(tmp_path):
     assert abs(found.spectrum.mean() - 0.25) < 2e-3
 
 
+def test_what_blocks_learn_makes_no_bias_and_less_noise(tmp_path, monkeypatch):
+    """Under half a lid, whose edge crosses the sky; the truth is by symmetry.
+
+    A half plane at height 1 whose edge is over the point leaves half of the light; blocks without
+    learning see more noise.
+    """
+    floor, lid = sheet(0.2), sheet(400.0)
+    points = lid[0] * np.array([0.5, 1.0, 1.0]) + np.array([100.0, 1.0, 0.0])
+    for delta in (0.0, 1e6):
+        bodies = [
+            Body(points=floor[0] + OFF, faces=floor[1], delta=delta),
+            Body(points=points + OFF, faces=lid[1], opacity=1.0),
+        ]
+        view = view_of(tmp_path, bodies, UNIFORM, 16, 0.001, OFF, (-0.1, 0.8, 0.1))
+        noise = {}
+        for weight in (passes.LEARNING_WEIGHT, 1.0):
+            monkeypatch.setattr(passes, "LEARNING_WEIGHT", weight)
+            found = np.stack([view.spectra(32, seed)[..., 0] for seed in range(12)])
+            spread = found.std() / np.sqrt(found.size)
+            assert abs(found.mean() - 0.5) < 4.0 * spread + 1e-4
+            noise[weight] = found.std()
+        monkeypatch.undo()
+        assert noise[passes.LEARNING_WEIGHT] < 0.7 * noise[1.0]
+
+
 @pytest.mark.parametrize(
     ("opacity", "threshold", "left"),
     [(0.0, 0.0, 1.0), (0.5, 0.0, 0.5), (1.0, 0.0, 0.0), (0.5, 0.4, 0.0), (0.3, 0.4, 1.0)],
@@ -434,12 +460,11 @@ def test_a_pane_takes_its_opacity_from_the_light(tmp_path, opacity, threshold, l
 
 @pytest.mark.slow
 def test_variance_is_never_told_too_low(tmp_path):
-    """The halves of a Sobol' prefix complement one another, so it is told too high."""
     """Never less than true; up to 5 times where the halves of a net cancel each other's errors."""
     points, faces = cup()
     body = Body(points=points + OFF, faces=faces, scattering=0.5, delta=3.0)
     toward = OFF + np.array([0.0, 0.6, 0.0])
-    for light, most in ((lamp_room(16), 5.0), (soft_room(16), 2.0)):
+    for light, most in ((lamp_room(16), 5.0), (soft_room(16), 3.0)):
         view = view_of(tmp_path, [body], light, 16, 2.6, toward, (0.4, 3, 2))
         told, means = [], []
         for seed in range(24):
@@ -470,7 +495,7 @@ def test_sampling_stops_near_the_target_and_changes_no_mean(tmp_path, target):
     error = np.sqrt((((means[:, lit] - exact[lit]) / level) ** 2).mean())
     assert 0.4 < error / target < 1.5
     assert abs(means.mean() / exact.mean() - 1.0) < 0.1 * target
-    assert found[0].extra["sampleCount"].mean() < 256
+    assert found[0].extra["sampleCount"].mean() < 320
 
 
 # --- Lights that are not maps --------------------------------------------------------------------

@@ -12,6 +12,7 @@ from traced_scenes import BASIS, NM, lamp_room, soft_room
 
 from usdskin.device import open_workers, vec3
 from usdskin.render.domes import DomeLight
+from usdskin.render.light_guide import PARTS, light_parts, turned_parts
 from usdskin.render.light_tree import build_light_tree
 from usdskin.render.lights import DistantLight, Lights
 from usdskin.warp_kernels.sampling import DIMENSIONS, direction_numbers
@@ -305,3 +306,54 @@ def test_two_domes_and_distant_lights_share_one_tree():
     facing = np.maximum(normals @ axis.T, 0.0)
     clear = np.abs(normals @ axis.T) > 0.1
     assert np.abs(seen[3][:, :2] - facing)[clear].max() < 2e-2
+
+
+# --- The parts of the light that blocks learn of -----------------------------------------------
+
+
+def test_moments_of_the_parts_are_the_lights_own():
+    """Vector irradiance and flux by a sum over texels; a facing distant lamp gives 1."""
+    map_, turn = lamp_room(64), turned(0.8)
+    sun = DistantLight(
+        path="/Sun", direction=np.array([0.3, 0.8, 0.52]), angle_deg=10.0,
+        irradiance=np.ones(len(NM)), absolute=True,
+    )  # fmt: skip
+    lights = Lights((dome(map_, turn),), (sun,))
+    tree = build_light_tree(lights, np.ones((2, 4)), "cpu")
+    parts = light_parts(lights, tree, 2, "cpu")
+    assert len(parts.moments) == min(PARTS, tree.leaf_node.shape[0])
+    fine = 16  # directions along each side of a texel
+    height, width, channels = map_.shape
+    polar = np.pi * (np.arange(height * fine) + 0.5) / (height * fine)
+    azimuth = 2.0 * np.pi * (np.arange(width * fine) + 0.5) / (width * fine)
+    angle = np.sin(polar)[:, None] * (np.pi / (height * fine)) * (2.0 * np.pi / (width * fine))
+    up, around = np.meshgrid(polar, azimuth, indexing="ij")
+    toward = np.stack(
+        [np.sin(up) * np.sin(around), np.cos(up), -np.sin(up) * np.cos(around), np.ones_like(up)]
+    )
+    weight = (toward * angle).reshape(4, height, fine, width, fine).sum(axis=(2, 4))
+    exact = np.einsum("khw,hwc->kc", weight, map_)
+    exact[:3] = turn @ exact[:3]
+    total = parts.moments.sum(axis=0)
+    scale = np.abs(exact[3]).max()
+    assert np.abs(total[0][:, :channels] - exact).max() < 2e-4 * scale
+    axis = sun.direction / np.linalg.norm(sun.direction)
+    np.testing.assert_allclose(total[1][:3, 0], axis, atol=1e-6)
+    again = turned_parts(parts, np.eye(3), "cpu").moment.numpy()
+    np.testing.assert_allclose(again, parts.moment.numpy(), atol=1e-6 * scale)
+
+
+def test_parts_hold_every_leaf_once():
+    tree = tree_of([dome(soft_room(16)), dome(lamp_room(32))])
+    lights = Lights((dome(soft_room(16)), dome(lamp_room(32))), ())
+    parts = light_parts(lights, tree, 2, "cpu")
+    node, above = parts.node.numpy(), tree.node_parent.numpy()
+    for leaf, part in enumerate(parts.leaf_part.numpy()):
+        at = tree.leaf_node.numpy()[leaf]
+        chain = {int(at)}
+        while above[at] >= 0:
+            at = above[at]
+            chain.add(int(at))
+        assert chain & set(node.tolist()) == {int(node[part])}
+    flux = tree.node_flux.numpy()
+    np.testing.assert_allclose(flux[node].sum(), flux[0], rtol=1e-5)

@@ -16,7 +16,9 @@ from usdskin.render.overrides import RenderOverrides
 from usdskin.render.render import ERROR_FLOOR
 from usdskin.render.scene import Scene, mean_white, read_scene
 from usdskin.render.settings import read_settings
-from usdskin.render.traced import Sampling, integrate_traced, sampling_key, trace_lights
+from usdskin.render.traced import integrate_traced
+from usdskin.render.traced_lights import trace_lights
+from usdskin.render.traced_passes import Sampling, sampling_key
 from usdskin.render.uploading import upload
 
 # isort: split

@@ -85,6 +85,9 @@ class TreeSample:
     texel: wp.int32
     """Which texel of the dome."""
 
+    leaf: wp.int32
+    """Which leaf of the tree."""
+
 
 @wp.func
 def ramp(x: wp.float32, wrap: wp.float32, share: wp.float32) -> wp.float32:
@@ -116,14 +119,33 @@ def sample_tree(
         mix: Weight of its wrap term beside Lambert's.
         u: Uniform numbers in [0, 1); the first one walks the tree.
     """
-    sample = TreeSample()
     if tree.leaf_node.shape[0] == 0:
-        return sample
+        return TreeSample()
+    return sample_below(tree, 0, 1.0, normal, wrap, mix, u)
+
+
+@wp.func
+def sample_below(
+    tree: LightTree, begin: wp.int32, chosen: wp.float32, normal: wp.vec3f, wrap: wp.float32,
+    mix: wp.float32, u: wp.vec3f,
+) -> TreeSample:  # fmt: skip
+    """Choose a direction of one node's light for a surface (``sample_tree``).
+
+    Args:
+        tree: The light.
+        begin: The node.
+        chosen: Probability with which it was chosen.
+        normal: Shading normal.
+        wrap: l of the surface.
+        mix: Weight of its wrap term beside Lambert's.
+        u: Uniform numbers in [0, 1); the first one walks the tree.
+    """
+    sample = TreeSample()
     narrow = mix / (1.0 + wrap)
-    node = int(0)
+    node = int(begin)
     rest = float(u[0])
-    chance = float(1.0)
-    child = tree.node_child[0]
+    chance = float(chosen)
+    child = tree.node_child[node]
     while child >= 0:
         first = _importance(tree, child, normal, wrap, narrow)
         second = _importance(tree, child + 1, normal, wrap, narrow)
@@ -144,6 +166,7 @@ def sample_tree(
     leaf = -1 - child
     dome = tree.leaf_dome[leaf]
     sample.dome = dome
+    sample.leaf = leaf
     angle = tree.leaf_angle[leaf]
     if dome < 0:
         axis = tree.leaf_axis[leaf]
@@ -225,11 +248,20 @@ def tree_density(
     leaf = tree.dome_leaf[tree.dome_first[dome][1] + texel]
     if leaf < 0:
         return 0.0
+    return chance_below(tree, leaf, 1, normal, wrap, mix) / tree.leaf_angle[leaf]
+
+
+@wp.func
+def chance_below(
+    tree: LightTree, leaf: wp.int32, tops: wp.int32, normal: wp.vec3f, wrap: wp.float32,
+    mix: wp.float32,
+) -> wp.float32:  # fmt: skip
+    """Return the probability of a leaf for a walk from the last of the first ``tops`` nodes."""
     narrow = mix / (1.0 + wrap)
     node = tree.leaf_node[leaf]
     chance = float(1.0)
-    parent = tree.node_parent[node]
-    while parent >= 0:
+    while node >= tops:
+        parent = tree.node_parent[node]
         child = tree.node_child[parent]
         first = _importance(tree, child, normal, wrap, narrow)
         second = _importance(tree, child + 1, normal, wrap, narrow)
@@ -241,5 +273,4 @@ def tree_density(
         else:
             chance = chance * second / total
         node = parent
-        parent = tree.node_parent[node]
-    return chance / tree.leaf_angle[leaf]
+    return chance

@@ -12,8 +12,7 @@ import warp as wp
 
 from usdskin.warp_kernels.detail import relieved
 from usdskin.warp_kernels.film import deposit_dome, shines_when_clear
-from usdskin.warp_kernels.light_links import reaches
-from usdskin.warp_kernels.light_tree import light_number, sample_tree, tree_light
+from usdskin.warp_kernels.light_tree import LightTree
 from usdskin.warp_kernels.preview_surface import (
     reflect_preview_surface,
     shade_emission,
@@ -24,17 +23,9 @@ from usdskin.warp_kernels.sampling import hash_pair, low_discrepancy
 from usdskin.warp_kernels.skin import reflect_skin, shade_skin
 from usdskin.warp_kernels.structs import CameraRays, Film, Geometry, Lights, Materials
 from usdskin.warp_kernels.surface import Point
-from usdskin.warp_kernels.trace_bounce import bounce
-from usdskin.warp_kernels.trace_diffuse import beam_share, shade_beam, shade_local_light
-from usdskin.warp_kernels.trace_gloss import deposit_gloss, lobes_towards, shine
-from usdskin.warp_kernels.trace_structs import (
-    FAR,
-    GLOSS_DIMENSION,
-    LENS_DIMENSION,
-    LIGHT_DIMENSION,
-    SKIN_MIX,
-    Trace,
-)
+from usdskin.warp_kernels.trace_directions import face_block, shade_directions
+from usdskin.warp_kernels.trace_guide import Guide, deposit_known, guide_block, update_guide
+from usdskin.warp_kernels.trace_structs import LENS_DIMENSION, SKIN_MIX, Trace
 from usdskin.warp_kernels.view import (
     MAX_LAYERS,
     UNKNOWN,
@@ -43,7 +34,7 @@ from usdskin.warp_kernels.view import (
     picture_ray,
     surface_point,
 )
-from usdskin.warp_kernels.visibility import cross_bodies, origin_on, surface_opacity
+from usdskin.warp_kernels.visibility import surface_opacity
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -75,73 +66,6 @@ def _finish(materials: Materials, film: Film, trace: Trace, pixel: wp.int32, mat
             film.spectrum[pixel, b] += part
         film.channel[pixel, q] = wp.vec4f(0.0, 0.0, 0.0, 0.0)
     film.xyza[pixel] = xyza + wp.vec4f(total[0], total[1], total[2], 0.0)
-
-
-@wp.func
-def _draw(trace: Trace, key: wp.uint32, index: wp.int32, first: wp.int32) -> wp.vec3f:
-    """Return three coordinates of a sample's point."""
-    return wp.vec3f(
-        low_discrepancy(trace.sobol, key, index, first),
-        low_discrepancy(trace.sobol, key, index, first + 1),
-        low_discrepancy(trace.sobol, key, index, first + 2),
-    )
-
-
-@wp.func
-def _shade_directions(
-    geometry: Geometry, lights: Lights, materials: Materials, film: Film, trace: Trace,
-    pixel: wp.int32, key: wp.uint32, index: wp.int32, point: Point, r: Reflection,
-) -> wp.vec3f:  # fmt: skip
-    """Deposit one direction from each kind of light; return Y, and of it what was weakened."""
-    m = point.material
-    own = int(-1)
-    mix = float(0.0)
-    if materials.kind[m] == 1:
-        own = point.prim
-        mix = SKIN_MIX
-    glossy = r.shine > 0.0 or r.coat > 0.0
-    wrap = lights.wrap[materials.wrap_set[m]]
-    weakened = float(0.0)
-    y = float(0.0)
-    u = _draw(trace, key, index, LIGHT_DIMENSION)
-    sample = sample_tree(trace.tree, point.normal, wrap, mix, u)
-    if sample.scale > 0.0:
-        number = light_number(trace.tree, sample)
-        lobes = wp.vec3f(0.0, 0.0, 0.0)
-        if glossy:
-            lobes = lobes_towards(materials, point, r, sample.direction)
-        reached = reaches(lights.links, point.prim, number)
-        x = wp.dot(point.normal, sample.direction)
-        lit = r.diffuse > 0.0 and x > wp.where(own >= 0, -wrap, 0.0)
-        if reached and (lit or lobes[0] + lobes[1] > 0.0):
-            crossing = cross_bodies(
-                geometry, materials, origin_on(materials, point),
-                sample.direction, FAR, own,
-                materials.passage_limit[m], lights.links, number,
-            )  # fmt: skip
-            share = beam_share(
-                lights, materials, point, sample.direction, crossing, trace.given[pixel]
-            )
-            seen = float(0.0)
-            if crossing.length <= 0.0:
-                seen = crossing.clear
-                if sample.dome >= 0:
-                    seen = seen * sample.density / (sample.density + lobes[2])
-            for g in range(lights.group_count):
-                light = tree_light(trace.tree, sample, g)
-                weakened += shade_beam(lights, materials, film, pixel, point, r, g, light, share)
-                if lobes[0] + lobes[1] > 0.0 and seen > 0.0:
-                    y += deposit_gloss(lights, materials, film, pixel, m, r, g, seen * light, lobes)
-    for k in range(trace.local.count):
-        y += shade_local_light(
-            geometry, lights, materials, film, trace, pixel, key, index, point, r, own, k
-        )
-    if glossy:
-        u = _draw(trace, key, index, GLOSS_DIMENSION)
-        y += shine(geometry, lights, materials, film, trace, pixel, point, r, own, mix, u)
-    if materials.sent_count > 0 and r.diffuse > 0.0:
-        y += bounce(geometry, lights, materials, film, trace, pixel, key, index, point, r)
-    return wp.vec3f(weakened + y, 0.0, weakened)
 
 
 @wp.func
@@ -195,7 +119,12 @@ def _trace_kernel(
     rasterized = film.face.shape[0] > 0
     sharpness = 0.25
     times = wp.float32(trace.split)
+    noise = wp.vec2f(0.0, 0.0)
+    early = wp.vec3f(0.0, 0.0, 0.0)
     for s in range(samples):
+        late = 2 * s / samples
+        if s == (samples + 1) / 2:
+            early = sums
         number = trace.first_sample + s * trace.split
         lens = wp.vec2f(0.0, 0.0)
         if camera.lens_radius > 0.0:
@@ -230,14 +159,34 @@ def _trace_kernel(
                 shown = opacity > 0.0 or shines_when_clear(materials, current)
                 r = reflect_preview_surface(geometry, lights, materials, point, clear, opacity)
             if shown:
+                block = int(-1)
+                guided = bool(False)
+                given = float(1.0)
+                if trace.guide.tops > 0:
+                    block = guide_block(trace.guide, pixel)
+                    guided = face_block(lights, materials, trace, pixel, block, point, r, layer)
+                    given = 1.0 + trace.weight * (trace.guide.given[block] - 1.0)
                 sums += _shade_unshadowed(
-                    geometry, lights, materials, film, pixel, point, r, times, trace.given[pixel]
+                    geometry, lights, materials, film, pixel, point, r, times, given
                 )
-                for k in range(trace.split):
-                    sums += _shade_directions(
-                        geometry, lights, materials, film, trace, pixel, layer_key, number + k,
-                        point, r,
-                    )  # fmt: skip
+                if guided and trace.guide.changes[block] != 0:
+                    scaled = r
+                    scaled.diffuse = times * trace.weight * r.diffuse
+                    changed = deposit_known(
+                        lights, materials, film, pixel, point, scaled, trace.guide, block
+                    )
+                    sums += wp.vec3f(changed, 0.0, changed)
+                added = shade_directions(
+                    geometry, lights, materials, film, trace, pixel, layer_key, number, point,
+                    r, block, guided,
+                )  # fmt: skip
+                sums += wp.vec3f(added[0], 0.0, added[2])
+                plain = added[0] + (1.0 / trace.weight - 1.0) * added[2]
+                if trace.split > 1:
+                    noise[0] += added[1]
+                    noise[1] += plain - added[1]
+                else:
+                    noise[late] += plain
             alpha += clear * opacity
             clear = clear * (1.0 - opacity)
             start = beyond(met.distance)
@@ -253,7 +202,13 @@ def _trace_kernel(
     _finish(materials, film, trace, pixel, current)
     total = film.xyza[pixel]
     film.xyza[pixel] = wp.vec4f(total[0], total[1], total[2], total[3] + times * alpha)
-    trace.luminance[pixel] = sums[0]
+    if samples == 1:
+        early = sums
+    again = 1.0 / trace.weight - 1.0
+    early_y = early[0] + again * early[2]
+    trace.luminance[pixel] = wp.vec4f(
+        noise[0], noise[1], early_y, sums[0] + again * sums[2] - early_y
+    )
     trace.tally[pixel] += wp.vec4f(sums[0], sums[1], sums[2], times * wp.float32(samples))
 
 
@@ -272,4 +227,88 @@ def trace_pass(
         inputs=[geometry, camera, lights, materials, trace],
         outputs=[film],
         device=film.xyza.device,
+    )
+
+
+@wp.kernel(enable_backward=False)
+def _learn_kernel(
+    # In:
+    tree: LightTree,
+    block: wp.array[wp.int32],
+    # Out:
+    guide: Guide,
+):
+    """Have blocks know what they have counted.
+
+    Launch dimension: [block_count].
+    """
+    update_guide(tree, guide, block[wp.tid()], SKIN_MIX)
+
+
+def learn(tree: LightTree, block: wp.array, guide: Guide) -> None:
+    """Have some blocks of a tile know what they have counted."""
+    wp.launch(
+        _learn_kernel,
+        dim=block.shape[0],
+        inputs=[tree, block],
+        outputs=[guide],
+        device=block.device,
+    )
+
+
+@wp.kernel(enable_backward=False)
+def _moments_kernel(
+    # In:
+    tree: LightTree,
+    dome: wp.int32,
+    row: wp.array[wp.vec3f],
+    column: wp.array[wp.vec3f],
+    # Out:
+    moment: wp.array2d[wp.vec4f],
+):
+    """Integrate the light of a dome's leaves times x, y, z (the dome's frame) and 1.
+
+    Launch dimension: [leaf_count].
+
+    Args:
+        tree: The light.
+        dome: Which dome.
+        row: Integrals of sin^2, of sin cos and of sin of the polar angle, shape [rows].
+        column: Integrals of sin and of -cos of the azimuth, and of 1, shape [columns].
+        moment: Result, shape [leaf_count, 4 group_count].
+    """
+    leaf = wp.tid()
+    if tree.leaf_dome[leaf] != dome:
+        return
+    block = tree.leaf_block[leaf]
+    size = tree.dome_size[dome]
+    first = tree.dome_first[dome]
+    for g in range(first[3]):
+        at = 4 * (first[2] + g)
+        texel = first[0] + g * size[0] * size[1]
+        for i in range(block[0], block[0] + block[2]):
+            x = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+            z = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+            flux = wp.vec4f(0.0, 0.0, 0.0, 0.0)
+            for j in range(block[1], block[1] + block[3]):
+                light = tree.dome_texel[texel + i * size[1] + j]
+                x += column[j][0] * light
+                z += column[j][1] * light
+                flux += column[j][2] * light
+            moment[leaf, at] += row[i][0] * x
+            moment[leaf, at + 1] += row[i][1] * flux
+            moment[leaf, at + 2] += row[i][0] * z
+            moment[leaf, at + 3] += row[i][2] * flux
+
+
+def dome_moments(
+    tree: LightTree, dome: int, row: wp.array, column: wp.array, moment: wp.array
+) -> None:
+    """Integrate the light of a dome's leaves (``_moments_kernel``)."""
+    wp.launch(
+        _moments_kernel,
+        dim=tree.leaf_node.shape[0],
+        inputs=[tree, dome, row, column],
+        outputs=[moment],
+        device=moment.device,
     )

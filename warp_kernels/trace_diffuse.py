@@ -105,6 +105,25 @@ def shade_beam(
 
 
 @wp.func
+def straight_y(
+    lights: Lights, materials: Materials, point: Point, r: Reflection, group: wp.int32,
+    light: wp.vec4f, beam: Beam,
+) -> wp.float32:  # fmt: skip
+    """Return the Y of light of one direction and channel group that comes straight, all of it."""
+    m = point.material
+    bases = materials.weight_count[m]
+    first = materials.row[m] + group
+    y = float(0.0)
+    for j in range(bases):
+        row = first + j * lights.group_count
+        part = beam.lambert * wp.dot(materials.xyz_y[row], light)
+        if beam.wrap > 0.0:
+            part += beam.wrap * wp.dot(materials.xyz_y[row + bases * lights.group_count], light)
+        y += r.diffuse * base_weight(r.low, r.high, j) * part
+    return y
+
+
+@wp.func
 def shade_local_light(
     geometry: Geometry, lights: Lights, materials: Materials, film: Film, trace: Trace,
     pixel: wp.int32, key: wp.uint32, index: wp.int32, point: Point, r: Reflection, own: wp.int32,

@@ -12,6 +12,7 @@ from usdskin.warp_kernels.reflection import Reflection, deposit, fresnel_rise
 from usdskin.warp_kernels.sampling import TWO_PI, around
 from usdskin.warp_kernels.structs import Film, Geometry, Lights, Materials
 from usdskin.warp_kernels.surface import Point
+from usdskin.warp_kernels.trace_guide import part_density
 from usdskin.warp_kernels.trace_structs import FAR, Trace
 from usdskin.warp_kernels.visibility import cross_bodies, origin_on
 
@@ -109,8 +110,12 @@ def deposit_gloss(
 def shine(
     geometry: Geometry, lights: Lights, materials: Materials, film: Film, trace: Trace,
     pixel: wp.int32, point: Point, r: Reflection, own: wp.int32, mix: wp.float32, u: wp.vec3f,
+    block: wp.int32,
 ) -> wp.float32:  # fmt: skip
-    """Follow one reflected ray to the lights, weighed against their own samples; return its Y."""
+    """Follow one reflected ray to the lights, weighed against their own samples; return its Y.
+
+    ``block`` is the block that guides those, -1 where none does.
+    """
     toward = _sample_lobe(point, r, u)
     lobes = lobes_towards(materials, point, r, toward)
     if lobes[2] <= 0.0:
@@ -136,7 +141,13 @@ def shine(
             )
             if crossing.clear > 0.0:
                 texel = dome_texel_towards(trace.tree, dome, toward)
-                other = tree_density(trace.tree, dome, texel, point.normal, wrap, mix)
+                other = float(0.0)
+                if block >= 0:
+                    other = part_density(
+                        trace.tree, trace.guide, block, dome, texel, point.normal, wrap, mix
+                    )
+                else:
+                    other = tree_density(trace.tree, dome, texel, point.normal, wrap, mix)
                 size = trace.tree.dome_size[dome]
                 first = trace.tree.dome_first[dome]
                 for g in range(first[3]):

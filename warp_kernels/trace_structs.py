@@ -6,6 +6,7 @@ import warp as wp
 
 from usdskin.warp_kernels.light_tree import LightTree
 from usdskin.warp_kernels.local_lights import LocalLights
+from usdskin.warp_kernels.trace_guide import Guide
 
 FAR = wp.constant(1.0e18)
 """Distance of domes and distant lights [m]."""
@@ -50,9 +51,11 @@ class Trace:
     split: wp.int32
     """Directions of light for every camera sample."""
 
-    given: wp.array[wp.float32]
-    """Share of the unshadowed light that is taken from the maps; directions are weighed against it.
-    The share that arrives gives the least noise, shape [tile_pixels]."""
+    guide: Guide
+    """What blocks of pixels know of the light that arrives."""
+
+    weight: wp.float32
+    """Weight of what directions change, against the other passes' [1]."""
 
     part: wp.array2d[wp.vec3f]
     """Sums of XYZ: diffuse, specular, emission, indirect, shape [tile_pixels, 4], or [0, 0]."""
@@ -61,5 +64,7 @@ class Trace:
     """Sums over all passes: Y, unshadowed Y, Y that something weakened, samples, shape
     [tile_pixels]."""
 
-    luminance: wp.array[wp.float32]
-    """Sum of Y over this pass, shape [tile_pixels]."""
+    luminance: wp.array[wp.vec4f]
+    """Sums of Y over two halves of this pass, ``weight`` taken off: of what directions add, in
+    halves that share their camera samples where these take more than one; and of all, in halves of
+    the camera samples. Shape [tile_pixels]."""

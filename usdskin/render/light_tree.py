@@ -6,6 +6,7 @@ chosen from it (``usdskin.warp_kernels.light_tree``).
 
 from __future__ import annotations
 
+import heapq
 from dataclasses import dataclass
 
 import numpy as np
@@ -220,10 +221,9 @@ def _fill_nodes(tree: light_tree.LightTree, leaves: _Leaves, device: str) -> Non
     center, radius, flux = np.zeros((nodes, 3)), np.zeros(nodes), np.zeros(nodes)
     child, parent = np.zeros(nodes, np.int32), np.full(nodes, -1, np.int32)
     leaf_node = np.zeros(count, np.int32)
-    stack = [(0, np.arange(count))] if count else []
-    used = 1
-    while stack:
-        node, members = stack.pop()
+    queue: list[tuple[float, int, NDArray[np.int64]]] = []
+
+    def add(node: int, members: NDArray[np.int64]) -> None:
         weight = leaves.flux[members]
         flux[node] = weight.sum()
         mean = weight @ leaves.center[members]
@@ -235,7 +235,14 @@ def _fill_nodes(tree: light_tree.LightTree, leaves: _Leaves, device: str) -> Non
         if len(members) == 1:
             child[node] = -1 - members[0]
             leaf_node[members[0]] = node
-            continue
+        else:
+            heapq.heappush(queue, (-flux[node] * radius[node], node, members))
+
+    if count:
+        add(0, np.arange(count))
+    used = 1
+    while queue:  # nodes that send much light from a wide cone come first
+        _, node, members = heapq.heappop(queue)
         spread = leaves.center[members]
         axis = int(np.argmax(spread.max(axis=0) - spread.min(axis=0)))
         order = members[np.argsort(spread[:, axis], kind="stable")]
@@ -244,7 +251,8 @@ def _fill_nodes(tree: light_tree.LightTree, leaves: _Leaves, device: str) -> Non
         cut = min(max(cut, 1), len(order) - 1)
         child[node] = used
         parent[used] = parent[used + 1] = node
-        stack += [(used, order[:cut]), (used + 1, order[cut:])]
+        add(used, order[:cut])
+        add(used + 1, order[cut:])
         used += 2
     tree.node_cone = vec4(np.concatenate([center, 1.00001 * radius[:, None]], axis=1), device)
     tree.node_flux = wp.array(flux.astype(np.float32), dtype=wp.float32, device=device)

@@ -23,7 +23,7 @@ from usdskin.render.lights import Lights
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.scene import Scene, read_scene, scene_white
 from usdskin.render.settings import RenderReport, RenderSettings
-from usdskin.render.traced import TracedLights, trace_lights, turn_traced_lights
+from usdskin.render.traced_lights import TracedLights, trace_lights, turn_traced_lights
 from usdskin.render.transfer import read_transfers
 from usdskin.render.transfer_light import DeviceTransfers, shade_transfers, upload_transfers
 from usdskin.render.uploading import upload

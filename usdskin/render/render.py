@@ -47,7 +47,8 @@ from usdskin.render.outputs import Shot, matte_names, previewing, write_picture
 from usdskin.render.overrides import RenderOverrides
 from usdskin.render.products import Product, prepare_folders
 from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
-from usdskin.render.traced import Sampling, integrate_traced, sampling_key
+from usdskin.render.traced import integrate_traced
+from usdskin.render.traced_passes import Sampling, sampling_key
 
 # isort: split
 # After ours, which register the schemas.

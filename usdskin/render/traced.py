@@ -7,8 +7,6 @@ in one tile. So the picture is the same whatever the tiles, threads or their ord
 
 from __future__ import annotations
 
-import hashlib
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,164 +14,23 @@ import warp as wp
 from numpy.typing import NDArray
 
 from usdskin import compilation
-from usdskin.device import Workers, copied, vec4
+from usdskin.device import Workers
 from usdskin.progress import Progress
 from usdskin.render.cameras import Camera
 from usdskin.render.checkpoint import Checkpoint, keeping
-from usdskin.render.film import sample_offsets
 from usdskin.render.integrate import (
     GPU_TILE_PIXELS,
     TILE_PIXELS,
-    WHOLE,
     DeviceScene,
     Picture,
-    Share,
     device_camera,
 )
-from usdskin.render.light_maps import LightField, luminances
-from usdskin.render.light_tree import build_light_tree
-from usdskin.render.lights import Lights
 from usdskin.render.projection import project
-from usdskin.render.surface_rows import SpectralFrame
 from usdskin.render.surfaces import band_groups
-from usdskin.warp_kernels import (
-    light_tree,
-    local_lights,
-    raster,
-    sampling,
-    structs,
-    trace,
-    trace_structs,
-)
-
-BLOCK = 4
-"""Side of the blocks of pixels that are sampled alike [px]."""
-
-FIRST_SAMPLES = 16
-"""Samples every pixel gets before any of them is judged."""
-
-LARGEST_SPLIT = 4
-"""Most directions of light for one camera sample: a surface point costs a fourth of a direction."""
-
-LEAST_GIVEN = 0.02
-"""Least share of the unshadowed light that is taken from the maps."""
-
-PARTS = ("diffuse", "specular", "emission", "indirect")
-"""What the light of a pixel is split into, in the kernels' order."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sampling:
-    """How a picture is sampled."""
-
-    samples: int
-    """Most samples per pixel."""
-
-    target_error: float
-    """Standard error of a pixel's Y, relative to it, at which its sampling stops; 0 for never."""
-
-    floor: float
-    """Y below which errors count as if the pixel were this bright."""
-
-    pixel_filter: str
-    key: int
-    """Of the seed and the frame."""
-
-    share: Share = WHOLE
-    """Which of the samples to take."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Pass:
-    """Some samples of every pixel that takes part."""
-
-    first: int
-    """Index of the first direction of light in every pixel's sequence."""
-
-    first_camera: int
-    """Index of the first camera sample."""
-
-    offsets: Any
-    """Positions of the camera samples [px], on the device."""
-
-    split: int
-    """Directions of light that each of them takes."""
-
-    @property
-    def count(self) -> int:
-        """Directions of light that a pixel takes."""
-        return len(self.offsets) * self.split
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TracedLights:
-    """What rays are sent to."""
-
-    tree: light_tree.LightTree
-    """Domes and distant lights."""
-
-    local: local_lights.LocalLights
-    """Lights that have a place."""
-
-    first_local: int
-    """Number of the first of them in the light links."""
-
-    upright: NDArray[np.float32] | None
-    """Cones of the tree's nodes in the frame of the only dome, shape [node_count, 4]; None where
-    there are other lights, or domes, which need not turn with it."""
-
-
-def trace_lights(
-    lights: Lights, field: LightField, frame: SpectralFrame, device: str
-) -> TracedLights:
-    """Prepare the lights of a scene for tracing.
-
-    Args:
-        lights: The lights.
-        field: Their channels, local lights included.
-        frame: Weighs the channels by how bright they look.
-        device: Where to.
-    """
-    if field.local is None:
-        raise ValueError("the light field was built without its local lights")
-    first = len(lights.domes) + len(lights.distants)
-    is_alone = first == len(lights.domes) == 1
-    built = lights
-    if is_alone:
-        built = replace(lights, domes=(replace(lights.domes[0], to_world=np.eye(3)),))
-    tree = build_light_tree(built, luminances(field, frame), device)
-    upright = tree.node_cone.numpy() if is_alone else None
-    found = TracedLights(tree, field.local.device_lights, first, upright)
-    return turn_traced_lights(found, lights, device) or found
-
-
-def turn_traced_lights(found: TracedLights, lights: Lights, device: str) -> TracedLights | None:
-    """Return lights whose only dome has been turned.
-
-    Args:
-        found: Prepared lights.
-        lights: The lights as they are turned now.
-        device: Where to.
-
-    Returns:
-        The lights, sharing arrays with ``found``; None where the tree has to be built anew.
-    """
-    if found.upright is None:
-        return None
-    to_world = lights.domes[0].to_world
-    tree = copied(found.tree, light_tree.LightTree)
-    cones = found.upright.copy()
-    cones[:, :3] = found.upright[:, :3] @ to_world.T
-    tree.node_cone = vec4(cones, device)
-    turns = to_world.astype(np.float32)[None]
-    tree.dome_to_world = wp.array(turns, dtype=wp.mat33f, device=device)
-    return replace(found, tree=tree)
-
-
-def sampling_key(seed: int, frame: float | None) -> int:
-    """Return the key of a picture's random numbers, 32 bits that differ for every frame."""
-    label = f"{seed}" if frame is None else f"{seed}/{frame:.6f}"
-    return int.from_bytes(hashlib.sha256(label.encode()).digest()[:4], "little")
+from usdskin.render.traced_lights import TracedLights
+from usdskin.render.traced_passes import FIRST_SAMPLES, Sampling, list_passes
+from usdskin.render.traced_tile import PARTS, Tile, unfinished
+from usdskin.warp_kernels import raster, sampling, trace, trace_guide
 
 
 def integrate_traced(
@@ -219,7 +76,8 @@ def integrate_traced(
         "part": np.zeros((count if parts else 0, len(PARTS), 3), np.float32),
     }
     rows = _tile_rows(width, height, TILE_PIXELS if on_host else GPU_TILE_PIXELS)
-    passes = _passes(settings, device, sharp=camera.lens_radius <= 0.0)
+    learns = lights.parts.tops > 1 and not scene.lights.links.active
+    passes = list_passes(settings, device, sharp=camera.lens_radius <= 0.0, learns=learns)
     sobol = wp.array(sampling.direction_numbers(), dtype=wp.uint32, device=device)
     projection = None
     if on_host and camera.lens_radius <= 0.0:
@@ -233,10 +91,13 @@ def integrate_traced(
     def work(begin: int, end: int) -> None:
         if tiles.restored(begin, end):
             return
-        tile = _Tile(scene, rays, lights, sobol, settings, begin, end, bands, parts, device)
+        tile = Tile(scene, rays, lights, sobol, settings, begin, end, bands, parts, device)
         tile.film.show_dome = int(show_dome)
         active = np.arange(end - begin, dtype=np.int32)
-        for number, each in enumerate(passes):
+        if passes[0].weight != 1.0:
+            tile.guide(lights.parts, width)
+            active = active[np.argsort(tile.block, kind="stable")]
+        for each in passes:
             face = None
             if projection is not None:
                 first = begin // width
@@ -244,11 +105,12 @@ def integrate_traced(
                     projection, each.offsets, first // rows, width, first, (end - begin) // width
                 )
             tile.add(each, active, face)
-            if number:
-                active = _unfinished(tile, active, width, settings)
+            taken = each.first + each.count - passes[0].first
+            if taken >= FIRST_SAMPLES:
+                active = unfinished(tile, active, width, settings, taken)
                 if not len(active):
                     break
-            tile.weigh(active, width)
+            tile.learn(active)
         for name, values in tile.finished().items():
             result[name][begin:end] = values
         tiles.finished(begin, end)
@@ -270,158 +132,9 @@ def integrate_traced(
 
 def _tile_rows(width: int, height: int, pixels: int) -> int:
     """Return the rows of a tile: whole blocks."""
-    rows = max(BLOCK, pixels // width // BLOCK * BLOCK)
-    return min(rows, -(-height // BLOCK) * BLOCK)
-
-
-def _passes(settings: Sampling, device: str, *, sharp: bool) -> list[_Pass]:
-    """Return the passes: the first samples in two halves, and then as many as there are before.
-
-    Later passes of a ``sharp`` picture take several directions of light for each camera sample:
-    what is noisy is the light. Every pass has its own camera samples.
-    """
-    samples, begin = settings.share.size(settings.samples), settings.share.first(settings.samples)
-    first = min(samples, FIRST_SAMPLES)
-    moved = 16 * settings.share.index  # more than there are passes
-    offsets = sample_offsets(first, settings.pixel_filter, _shift(moved))
-    half = (first + 1) // 2
-    found = [(0, 0, offsets[0::2], 1), (half, half, offsets[1::2], 1)]
-    taken = cameras_taken = first
-    while taken < samples:
-        more = min(taken, samples - taken)
-        split = min(LARGEST_SPLIT, max(1, more // FIRST_SAMPLES)) if sharp else 1
-        cameras = max(1, more // split)
-        shift = _shift(moved + len(found))
-        offsets = sample_offsets(cameras, settings.pixel_filter, shift)
-        found.append((taken, cameras_taken, offsets, split))
-        taken += cameras * split
-        cameras_taken += cameras
-    return [
-        _Pass(
-            begin + at_sample,
-            begin + at_camera,
-            wp.array(np.ascontiguousarray(at), dtype=wp.vec2f, device=device),
-            split,
-        )
-        for at_sample, at_camera, at, split in found
-        if len(at)
-    ]
-
-
-def _shift(number: int) -> tuple[float, float]:
-    return 0.754877666 * number % 1.0, 0.569840290 * number % 1.0
-
-
-class _Tile:
-    """One tile under construction."""
-
-    def __init__(
-        self,
-        scene: DeviceScene,
-        rays: structs.CameraRays,
-        lights: TracedLights,
-        sobol: Any,
-        settings: Sampling,
-        begin: int,
-        end: int,
-        bands: int,
-        parts: bool,
-        device: str,
-    ) -> None:
-        count = end - begin
-        self._scene, self._rays, self._device = scene, rays, device
-        self.first_pixel = begin
-        self.count = count
-        film = structs.Film()
-        film.first_pixel = begin
-        film.channel = wp.zeros((count, scene.max_rows), dtype=wp.vec4f, device=device)
-        film.xyza = wp.zeros(count, dtype=wp.vec4f, device=device)
-        film.spectrum = wp.zeros((count, bands), dtype=wp.vec4f, device=device)
-        self.film = film
-        self._trace = trace_structs.Trace()
-        self._trace.tree = lights.tree
-        self._trace.local = lights.local
-        self._trace.first_local = lights.first_local
-        self._trace.sobol = sobol
-        self._trace.key = settings.key
-        shape = (count, len(PARTS)) if parts else (0, 0)
-        self._trace.part = wp.zeros(shape, dtype=wp.vec3f, device=device)
-        self._trace.tally = wp.zeros(count, dtype=wp.vec4f, device=device)
-        self._trace.given = wp.ones(count, dtype=wp.float32, device=device)
-        self._trace.luminance = wp.zeros(count, dtype=wp.float32, device=device)
-        self.variance = np.zeros(count)
-        self._total = np.zeros(count)
-        self._taken = np.zeros(count)
-
-    @property
-    def mean(self) -> NDArray[np.float64]:
-        """Y of every pixel so far."""
-        return np.asarray(self._total / np.maximum(self._taken, 1.0))
-
-    def add(self, each: _Pass, active: NDArray[np.int32], face: Any) -> None:
-        """Take a pass of samples of some pixels, and judge the variance of their means by it."""
-        film, device = self.film, self._device
-        film.sample = each.offsets
-        film.face = wp.empty((0, 0), dtype=wp.int32, device=device) if face is None else face
-        self._trace.first_sample, self._trace.split = each.first, each.split
-        self._trace.first_camera = each.first_camera
-        self._trace.pixel = wp.array(active, dtype=wp.int32, device=device)
-        trace.trace_pass(
-            self._scene.geometry, self._rays, self._scene.lights, self._scene.materials,
-            self._trace, film,
-        )  # fmt: skip
-        new = self._trace.luminance.numpy()[active].astype(np.float64)
-        more, before = each.count, self._taken[active]
-        if before.any():
-            apart = new / more - self._total[active] / before
-            self.variance[active] = apart**2 * before * more / (before + more) ** 2
-        self._total[active] += new
-        self._taken[active] += more
-
-    def weigh(self, active: NDArray[np.int32], width: int) -> None:
-        """Take from the maps what arrived in each block so far: a little where much is hidden."""
-        tally = self._trace.tally.numpy()[active].astype(np.float64)
-        owner = _blocks(active, width)
-        whole, lost = (np.bincount(owner, tally[:, k]) for k in (1, 2))
-        arrived = 1.0 + lost / np.where(whole > 0.0, whole, 1.0)
-        given = np.ones(self.count, np.float32)
-        given[active] = np.clip(arrived, LEAST_GIVEN, 1.0)[owner]
-        self._trace.given = wp.array(given, dtype=wp.float32, device=self._device)
-
-    def finished(self) -> dict[str, NDArray[Any]]:
-        """Return the tile's means and variances, and its tally."""
-        tally = self._trace.tally.numpy()
-        taken = np.maximum(tally[:, 3:], 1.0)
-        found = {
-            "xyza": self.film.xyza.numpy() / taken,
-            "spectrum": self.film.spectrum.numpy() / taken[:, :, None],
-            "tally": tally,
-            "variance": self.variance,
-        }
-        if self._trace.part.shape[0]:
-            found["part"] = self._trace.part.numpy() / taken[:, :, None]
-        return found
-
-
-def _unfinished(
-    tile: _Tile, active: NDArray[np.int32], width: int, settings: Sampling
-) -> NDArray[np.int32]:
-    """Return the pixels of the blocks whose error is still above the target."""
-    if settings.target_error <= 0.0:
-        return active
-    owner = _blocks(active, width)
-    sizes = np.bincount(owner)
-    variance = np.bincount(owner, tile.variance[active]) / sizes
-    level = np.maximum(np.bincount(owner, tile.mean[active]) / sizes, settings.floor)
-    keep = variance > (settings.target_error * level) ** 2
-    return np.asarray(active[keep[owner]])
-
-
-def _blocks(active: NDArray[np.int32], width: int) -> NDArray[np.int64]:
-    """Return the block of every pixel, counted from 0."""
-    row, column = active // width, active % width
-    block = row // BLOCK * (-(-width // BLOCK)) + column // BLOCK
-    return np.asarray(np.unique(block, return_inverse=True)[1])
+    side = int(trace_guide.SIDE)
+    rows = max(side, pixels // width // side * side)
+    return min(rows, -(-height // side) * side)
 
 
 def _extra(
