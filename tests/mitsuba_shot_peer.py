@@ -3,15 +3,15 @@
 A process of its own, as ``mitsuba_peer.py``. In a spectral variant Mitsuba's camera, rays and
 triangles meet a light and a skin written here from the equations: an emitter that is a table of
 texels by bands, with a sun; a BSDF that is eq. (1); and an integrator that finds the way of light
-inside the body hit by hit. Wavelengths are drawn at random, four to a ray, over all bands; light
-is even within a band, as the file gives averages, and the skin's spectra are straight between their
-samples.
+inside the body hit by hit. Wavelengths are drawn at random, four to a ray, over all bands. The
+light is even within a band, for the file gives averages; so are the skin's spectra, or, where
+``straight`` says so, they are straight between their samples.
 
 job: ``points`` [m, 3], ``faces`` [n, 3] and ``normals`` [m, 3] of a closed body; ``camera`` [4, 4],
 ``fov_deg`` (along x), ``size`` [2]; ``radiance`` [h, w, bands] of a dome in UsdLux's layout and
 ``dome_to_world``; ``sun_direction``, ``sun_angle_deg``, ``sun_irradiance`` [bands], or absent;
 ``edges_nm`` [bands + 1]; ``wavelength_nm``, ``reflectance``, ``scattering``, ``opacity``;
-``alpha``, ``wrap``; ``shadowed``; ``samples`` (per pixel and pass), ``passes``.
+``alpha``, ``wrap``; ``shadowed``, ``straight``; ``samples`` (per pixel and pass), ``passes``.
 
 out: ``pictures`` [passes, height, width, bands].
 """
@@ -40,9 +40,10 @@ def table(values: NDArray) -> mi.Float:
 
 
 class Tabulated:
-    """A spectrum that is straight between its samples."""
+    """A spectrum of bands that are even, or of samples with straight lines between them."""
 
-    def __init__(self, nm: NDArray, values: NDArray) -> None:
+    def __init__(self, nm: NDArray, values: NDArray, straight: bool) -> None:
+        self.straight = straight
         self.start, self.step, self.count = float(nm[0]), float(nm[1] - nm[0]), len(nm)
         self.values = table(values)
 
@@ -50,6 +51,9 @@ class Tabulated:
         x = dr.clip((wavelengths - self.start) / self.step, 0.0, self.count - 1.0001)
         result = mi.Spectrum(0.0)
         for k in range(len(wavelengths)):
+            if not self.straight:
+                result[k] = dr.gather(mi.Float, self.values, mi.UInt32(x[k] + 0.5))
+                continue
             i = mi.UInt32(x[k])
             low = dr.gather(mi.Float, self.values, i)
             result[k] = dr.lerp(low, dr.gather(mi.Float, self.values, i + 1), x[k] - i)
@@ -150,9 +154,9 @@ class Skin(mi.BSDF):
         super().__init__(props)
         self.m_components = [mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide]
         self.m_flags = self.m_components[0]
-        nm = self.job["wavelength_nm"]
-        self.albedo = Tabulated(nm, self.job["reflectance"])
-        self.scattering = Tabulated(nm, self.job["scattering"])
+        nm, straight = self.job["wavelength_nm"], bool(self.job["straight"])
+        self.albedo = Tabulated(nm, self.job["reflectance"], straight)
+        self.scattering = Tabulated(nm, self.job["scattering"], straight)
         self.alpha, self.wrap = float(self.job["alpha"]), float(self.job["wrap"])
 
     def sample(self, ctx: Any, si: Any, s1: Any, s2: Any, active: Any = True) -> Any:
@@ -161,9 +165,7 @@ class Skin(mi.BSDF):
     def eval(self, ctx: Any, si: Any, wo: mi.Vector3f, active: Any = True) -> mi.Spectrum:
         lambert = dr.maximum(wo.z, 0.0)
         wrapped = dr.maximum((wo.z + self.wrap) / (1.0 + self.wrap), 0.0)
-        value = self.albedo(si.wavelengths) * (
-            lambert + self.scattering(si.wavelengths) * wrapped
-        )
+        value = self.albedo(si.wavelengths) * (lambert + self.scattering(si.wavelengths) * wrapped)
         return dr.select(active, (self.alpha / dr.pi) * value, 0.0)
 
     def pdf(self, ctx: Any, si: Any, wo: mi.Vector3f, active: Any = True) -> mi.Float:
@@ -225,7 +227,7 @@ def passes(job: Job) -> NDArray:
     scene = mi.load_dict({"type": "scene", "light": {"type": "environment"}, "body": mesh})
     edges = job["edges_nm"]
     bands, low, reach = len(edges) - 1, float(edges[0]), float(edges[-1] - edges[0])
-    opacity = Tabulated(job["wavelength_nm"], job["opacity"])
+    opacity = Tabulated(job["wavelength_nm"], job["opacity"], bool(job["straight"]))
     most = float(25.0 / job["opacity"].min())
     samples = int(job["samples"])
     result = []
