@@ -184,7 +184,7 @@ class _Eye:
                 self._sky(rays[which], out, to[which])
                 continue
             points = origin + distance[which, None] * rays[which]
-            factors, _ = model.sources.factors(model.blockers, int(index), points)
+            factors = model.sources.factors(model.blockers, int(index), points)
             weights, corners = self._between(int(index), points)
             reflected = scene.surfaces.reflectance[index] / np.pi
             for name, values in out.items():

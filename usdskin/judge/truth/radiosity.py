@@ -180,7 +180,7 @@ def gather(model: Model, index: int, points: FloatArray) -> FloatArray:
     square = lattice(*_NODE_RAYS)
     shift = np.arange(len(points))[:, None, None] * np.array(_SHIFT[:2])
     ways = cosine_directions((square[None] + shift) % 1.0, model.blockers.normal[index])
-    return shares(model.blockers, model.cells, index, points[:, None], ways)
+    return shares(model.blockers, model.cells, index, points[:, None], ways, model.sources.lamps)
 
 
 def _exchange(model: Model, index: int) -> FloatArray:
@@ -197,7 +197,7 @@ def _exchange(model: Model, index: int) -> FloatArray:
     v = spans[:, 2:3] + (spans[:, 3:] - spans[:, 2:3]) * v
     points = place(model.blockers, index, u.ravel(), v.ravel()).reshape(*u.shape, 3)
     ways = cosine_directions(ways, model.blockers.normal[index])
-    return shares(model.blockers, model.cells, index, points, ways)
+    return shares(model.blockers, model.cells, index, points, ways, model.sources.lamps)
 
 
 def solve(
@@ -211,7 +211,7 @@ def solve(
     """
     tell = advance or (lambda _count: None)
     cells, count = model.cells, model.cells.count
-    factors, hidden = np.zeros((count, count)), np.zeros(count)
+    factors = np.zeros((count, count))
     direct = np.zeros((count, model.sources.count))
     middles = model.polygons.mean(axis=1)
     is_covered = covered(model.surfaces, middles, cells.surface)
@@ -220,8 +220,8 @@ def solve(
     )
     for index in range(model.surface_count):
         part = slice(int(cells.first[index]), int(cells.first[index + 1]))
-        direct[part], hidden[part] = _direct(model, index)
-        factors[part] = (1.0 - hidden[part])[:, None] * _exchange(model, index)
+        direct[part] = _direct(model, index)
+        factors[part] = _exchange(model, index)
         tell(1)
     factors[is_covered], direct[is_covered] = 0.0, 0.0
     factors = balanced(factors, model.area)
@@ -302,18 +302,17 @@ def bounce(factors: FloatArray, reflectance: FloatArray, direct: FloatArray) -> 
     return total
 
 
-def _direct(model: Model, index: int) -> tuple[FloatArray, FloatArray]:
-    """Return direct light averaged over a surface's cells, and what lamps take of their view."""
+def _direct(model: Model, index: int) -> FloatArray:
+    """Return direct light averaged over a surface's cells, shape [cells, source columns]."""
     size = np.sqrt(model.area[model.cells.first[index] : model.cells.first[index + 1]])
     middles = _samples(model, index, np.array([0.5]))
     near = model.sources.distance(middles, model.blockers.normal[index])
     count = int(np.clip(np.ceil(3.0 * (size / np.maximum(near, 1e-3)).max()), 2, 4))
     nodes, weights = np.polynomial.legendre.leggauss(count)
     points = _samples(model, index, 0.5 + 0.5 * nodes)
-    factor, share = model.sources.factors(model.blockers, index, points)
+    factor = model.sources.factors(model.blockers, index, points)
     weight = (weights[:, None] * weights[None]).ravel() / 4.0
-    average = np.einsum("cks,k->cs", factor.reshape(len(middles), -1, factor.shape[1]), weight)
-    return average, share.reshape(len(middles), -1) @ weight
+    return np.einsum("cks,k->cs", factor.reshape(len(middles), -1, factor.shape[1]), weight)
 
 
 # --- Corners -----------------------------------------------------------------------------------
@@ -337,8 +336,6 @@ def corner_points(model: Model, index: int) -> FloatArray:
 def _corner_factors(model: Model, tell: Callable[[int], None]) -> FloatArray:
     blocks = []
     for index in range(model.surface_count):
-        points = corner_points(model, index)
-        _, hidden = model.sources.factors(model.blockers, index, points)
-        blocks.append((1.0 - hidden)[:, None] * gather(model, index, points))
+        blocks.append(gather(model, index, corner_points(model, index)))
         tell(1)
     return np.concatenate(blocks)
