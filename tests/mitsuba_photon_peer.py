@@ -9,7 +9,9 @@ for all bands at once. ``mitsuba_set_peer`` is the check of both.
 job: as of ``mitsuba_set_peer``, with ``photons`` (per pass), ``groups`` (passes) and ``bounces``, at most. Lamps must have
 a place.
 
-out: ``picture`` [groups, height, 2 height, bands], the mean radiance of every texel.
+out: ``picture`` [groups, height, 2 height, bands], the mean radiance of every texel, and ``flux``
+[groups, surfaces + 1, grid * grid, bands] that arrives at the front of every surface, whose two
+edges are cut in ``grid`` parts; the last surface is the lamps.
 """
 
 from __future__ import annotations
@@ -43,9 +45,10 @@ def follow(
     normal: mi.Normal3f,
     power: list[mi.Float],
     image: mi.Float,
+    flux: mi.Float,
 ) -> None:
     """Send photons on their way; what they show of surfaces is added to the image."""
-    height, bands = int(job["height"]), len(power)
+    height, bands, grid = int(job["height"]), len(power), int(job["grid"])
     eye = mi.Point3f(*job["origin"].tolist())
     active = mi.Bool(True)
     bounces = mi.UInt32(0)
@@ -76,6 +79,10 @@ def follow(
         active &= si.is_valid() & (dr.dot(si.n, direction) < 0.0)
         kind = dr.gather(mi.UInt32, tables["kind"], dr.reinterpret_array(mi.UInt32, si.shape), active)
         most = dr.gather(mi.Float, tables["most"], kind, active)
+        cell = mi.Point2u(dr.clip(si.uv * grid, 0.0, grid - 0.5))
+        part = (kind * grid + cell.x) * grid + cell.y
+        for k in range(bands):
+            dr.scatter_add(flux, power[k], part * bands + k, active)
         active &= sampler.next_1d(active) < most
         for k in range(bands):
             rho = dr.gather(mi.Float, tables["reflectance"], kind * bands + k, active)
@@ -86,11 +93,12 @@ def follow(
         active &= bounces <= int(job["bounces"])
 
 
-def render(job: Job) -> NDArray:
-    """Return panoramas, shape [groups, height, 2 height, bands]."""
+def render(job: Job) -> dict[str, NDArray]:
+    """Return what is written."""
     built = scene(job, slice(0, 3))
     bands, height = job["reflectance"].shape[1], int(job["height"])
     surface_count, count = len(job["reflectance"]), int(job["photons"])
+    grid = int(job["grid"])
     shapes = built.shapes_dr()
     numbers = np.array(dr.reinterpret_array(mi.UInt32, shapes))
     kind = np.full(numbers.max() + 1, surface_count, np.uint32)
@@ -117,7 +125,7 @@ def render(job: Job) -> NDArray:
     which = mi.UInt32(np.array(order, np.uint32))
     edge = np.cos(np.arange(height + 1) * np.pi / height)
     size = (edge[:-1] - edge[1:])[:, None, None] * np.pi / height
-    result = []
+    result, arriving = [], []
     for group in range(int(job["groups"])):
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(group, count)
@@ -126,12 +134,14 @@ def render(job: Job) -> NDArray:
         place = lamp.sample_position(0.0, sampler.next_2d())
         power = [dr.gather(mi.Float, born, index * bands + k) for k in range(bands)]
         image = dr.zeros(mi.Float, height * 2 * height * bands)
-        follow(built, job, tables, sampler, place.p, mi.Normal3f(place.n), power, image)
+        flux = dr.zeros(mi.Float, (surface_count + 1) * grid * grid * bands)
+        follow(built, job, tables, sampler, place.p, mi.Normal3f(place.n), power, image, flux)
+        arriving.append(np.array(flux, np.float64).reshape(-1, grid * grid, bands))
         result.append(np.array(image, np.float64).reshape(height, 2 * height, bands) / size)
-    return np.stack(result)
+    return {"picture": np.stack(result), "flux": np.stack(arriving)}
 
 
 if __name__ == "__main__":
     with np.load(sys.argv[1]) as job:
-        picture = render(dict(job))
-    np.savez(sys.argv[2], picture=picture)
+        found = render(dict(job))
+    np.savez(sys.argv[2], **found)
