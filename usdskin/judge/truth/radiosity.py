@@ -34,6 +34,8 @@ _NODES = 3
 """Corners that light is gathered at, over the count of cells."""
 _EDGE = 0.2
 """Their distance at the edges of surfaces, where light changes fastest, over that elsewhere."""
+_CELL_EDGE = 0.25
+"""The same of cells."""
 _TOLERANCE = 1e-9
 _MOST_BOUNCES = 5000
 
@@ -116,7 +118,7 @@ def make_model(scene: SetScene, cell_count: int) -> Model:
         np.concatenate([surfaces.across, np.reshape(across, (-1, 3))]),
     )
     count = len(plain.corner)
-    everywhere = Cutting(scene.capture_point, np.ones(count, bool))
+    everywhere = Cutting(scene.capture_point, np.ones(count, bool), _CELL_EDGE)
     sources = make_sources(scene)
     cells = cells_of(
         plain,
