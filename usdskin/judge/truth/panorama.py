@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from usdskin.errors import LayerError
 from usdskin.judge.truth import lamps as set_lamps
 from usdskin.judge.truth.geometry import coordinates, first_surfaces, is_open_towards
-from usdskin.judge.truth.radiosity import Model, Solution, corner_nodes
+from usdskin.judge.truth.radiosity import Model, Solution
 from usdskin.judge.truth.sources import disc_directions, look_at_sky
 from usdskin.latlong import (
     latlong_coordinates,
@@ -211,8 +211,7 @@ class _Eye:
         cuts = self._model.nodes.cuts[index]
         _, u, v = coordinates(self._planes[index], points)
         at, low = [], []
-        for coordinate, cut in ((u, cuts[0]), (v, cuts[1])):
-            nodes = corner_nodes(cut)
+        for coordinate, nodes in ((u, cuts[0]), (v, cuts[1])):
             first = np.clip(np.searchsorted(nodes, coordinate) - 1, 0, nodes.size - 2)
             low.append(first)
             share = (coordinate - nodes[first]) / (nodes[first + 1] - nodes[first])
