@@ -23,6 +23,9 @@ dark, and no cell is half of it."""
 _BESIDE = 0.15
 """Furthest from such an edge that it cuts beside it [m]."""
 
+_CLOSE = 0.01
+"""Nor is it so near to another cut [m]."""
+
 _LEAST = 0.04
 """Size below which no cell is halved for being near a lamp [m]."""
 
@@ -184,12 +187,14 @@ def _touching(
     size = np.linalg.norm([blockers.along[index], blockers.across[index]], axis=1)
     result = []
     for k in (0, 1):
-        lines = [np.array([0.0, 1.0]), found[:, k]]
+        lines = np.unique(np.round(np.clip([0.0, 1.0, *found[:, k]], 0.0, 1.0), 9))
         high = found[:, 2] > 1e-3
         for share in beside:
             away = np.minimum(share * found[high, 2], _BESIDE) / size[k]
-            lines += [found[high, k] - away, found[high, k] + away]
-        result.append(np.unique(np.round(np.clip(np.concatenate(lines), 0.0, 1.0), 9)))
+            for at in np.unique(np.concatenate([found[high, k] - away, found[high, k] + away])):
+                if np.abs(lines - at).min() * size[k] > _CLOSE and 0.0 < at < 1.0:
+                    lines = np.sort(np.append(lines, at))
+        result.append(lines)
     return result[0], result[1]
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from usdskin.errors import LayerError
 from usdskin.judge.truth import lamps as set_lamps
+from usdskin.judge.truth.finer import finer
 from usdskin.judge.truth.geometry import coordinates, first_surfaces, is_open_towards
 from usdskin.judge.truth.radiosity import Model, Solution
 from usdskin.judge.truth.sources import disc_directions, look_at_sky
@@ -158,11 +159,16 @@ class _Eye:
 
     def __init__(self, model: Model, solutions: dict[str, Solution]) -> None:
         self._model = model
-        self._solutions = solutions
         self._planes = model.surfaces.planes()
         self._normals = model.surfaces.normal
         self._spectra = {name: model.sources.spectra_of(name) for name in solutions}
-        self._first = model.nodes.first
+        self._corners, self._gathered = finer(
+            model.blockers,
+            model.nodes,
+            {name: item.gathered for name, item in solutions.items()},
+        )
+        self._known = sum(item.sum(axis=1) for item in self._gathered.values()) > 0.0
+        self._first = self._corners.first
 
     def sees(self, directions: FloatArray) -> BoolArray:
         """Return in which directions nothing stands, shape [count]."""
@@ -189,7 +195,7 @@ class _Eye:
             reflected = scene.surfaces.reflectance[index] / np.pi
             for name, values in out.items():
                 arriving = factors @ self._spectra[name]
-                gathered = self._solutions[name].gathered
+                gathered = self._gathered[name]
                 for k in range(4):
                     arriving += weights[:, k, None] * gathered[corners[:, k]]
                 values[to[which]] = reflected * arriving
@@ -208,7 +214,7 @@ class _Eye:
 
     def _between(self, index: int, points: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
         """Return the weights of four corners of a cell, and which they are, shape [count, 4]."""
-        cuts = self._model.nodes.cuts[index]
+        cuts = self._corners.cuts[index]
         _, u, v = coordinates(self._planes[index], points)
         at, low = [], []
         for coordinate, nodes in ((u, cuts[0]), (v, cuts[1])):
@@ -223,8 +229,7 @@ class _Eye:
                 corners.append(self._first[index] + (low[0] + i) * cuts[1].size + low[1] + j)
         weight, corner = np.stack(weights, axis=1), np.stack(corners, axis=1)
         # Corners below a cabinet know nothing.
-        known = sum(item.gathered.sum(axis=1) for item in self._solutions.values()) > 0.0
-        held = np.where(known[corner], weight, 0.0)
+        held = np.where(self._known[corner], weight, 0.0)
         total = held.sum(axis=1, keepdims=True)
         return np.where(total > 1e-3, held / np.where(total > 1e-3, total, 1.0), 0.0), corner
 
