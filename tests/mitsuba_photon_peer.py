@@ -77,7 +77,9 @@ def follow(
         direction = mi.Frame3f(normal).to_world(local)
         si = built.ray_intersect(mi.Ray3f(begin, direction), active)
         active &= si.is_valid() & (dr.dot(si.n, direction) < 0.0)
-        kind = dr.gather(mi.UInt32, tables["kind"], dr.reinterpret_array(mi.UInt32, si.shape), active)
+        kind = dr.gather(
+            mi.UInt32, tables["kind"], dr.reinterpret_array(mi.UInt32, si.shape), active
+        )
         most = dr.gather(mi.Float, tables["most"], kind, active)
         cell = mi.Point2u(dr.clip(si.uv * grid, 0.0, grid - 0.5))
         part = (kind * grid + cell.x) * grid + cell.y
@@ -115,7 +117,9 @@ def render(job: Job) -> dict[str, NDArray]:
         "most": table(reflectance.max(axis=1)),
         "reflectance": table(reflectance),
     }
-    area = {index: shape.surface_area() for index, shape in zip(numbers, built.shapes(), strict=True)}
+    area = {
+        index: shape.surface_area() for index, shape in zip(numbers, built.shapes(), strict=True)
+    }
     order = [lamps[k] for k in range(len(lamps))]
     flux = np.array([np.pi * float(np.array(area[number]).ravel()[0]) for number in order])
     flux = flux[:, None] * job["lamp_radiance"]

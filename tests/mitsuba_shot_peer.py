@@ -1,4 +1,4 @@
-"""Mitsuba 3's half of the comparison of shots, run as ``python mitsuba_shot_peer.py job.npz out.npz``.
+"""Mitsuba 3's half of the comparison of shots: ``python mitsuba_shot_peer.py job.npz out.npz``.
 
 A process of its own, as ``mitsuba_peer.py``. In a spectral variant Mitsuba's camera, rays and
 triangles meet a light and a skin written here from the equations: an emitter that is a table of
@@ -19,7 +19,7 @@ out: ``pictures`` [passes, height, width, bands].
 from __future__ import annotations
 
 import sys
-from typing import Any
+from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -63,7 +63,7 @@ class Tabulated:
 class Environment(mi.Emitter):
     """Texels of even light (u = 0.5 is +Z, u = 0.25 is +X, v = 0 is +Y), and a sun's disc."""
 
-    job: Job = {}
+    job: ClassVar[Job] = {}
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -148,7 +148,7 @@ class Environment(mi.Emitter):
 class Skin(mi.BSDF):
     """alpha S / pi (max(N.L, 0) + Ss max((N.L + l) / (1 + l), 0)), both terms clamped."""
 
-    job: Job = {}
+    job: ClassVar[Job] = {}
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)

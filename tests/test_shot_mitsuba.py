@@ -238,7 +238,7 @@ def test_the_bust_in_a_set_matches_mitsuba_in_every_band(
 def test_spectra_that_are_straight_between_samples_change_single_bands_by_a_percent(
     tmp_path: Path,
 ):
-    """A table of 5 nm is read as averages of bands; where blood's edge is, it makes a difference."""
+    """A table of 5 nm is read as averages of bands; at the edges of blood it makes a difference."""
     found = ours("room_fluorescent", tmp_path, "map", 64)
     peer = theirs("room_fluorescent", tmp_path, "map", 1024, 16, straight=True)
     result = compare(found, peer)

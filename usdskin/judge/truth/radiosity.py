@@ -331,9 +331,7 @@ def _nodes(blockers: Blockers, grids: Grids) -> Grids:
     """
     result = []
     for index, cuts in enumerate(grids.cuts):
-        u, v = (
-            _doubled(*pair) for pair in zip(cuts, edge_lines(blockers, index), strict=True)
-        )
+        u, v = (_doubled(*pair) for pair in zip(cuts, edge_lines(blockers, index), strict=True))
         result.append((u, v))
     return Grids(tuple(result))
 
