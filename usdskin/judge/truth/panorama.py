@@ -35,6 +35,8 @@ _FINEST = (4181, 2584)
 """Rays in one that holds the edge of a lamp, at 256 rows and more."""
 _FINEST_COARSE = (28657, 17711)
 """The same, in coarser pictures."""
+_PAST = (55, 34)
+"""Rays in one that holds the edge of a lamp, to see what is beside it."""
 _CONTRAST = 0.03
 _RAYS = 1 << 16
 
@@ -128,7 +130,7 @@ def see(
         for name, values in seen.items():
             image[name][part] = values.reshape(len(part), _FINER[0], -1).mean(axis=1)
         tell(len(part))
-    covers = _add_lamps(model, grid, image)
+    covers = _add_lamps(model, grid, image, eye)
     shares = tuple(float(eye.sees(disc_directions(sun)).mean()) for sun in scene.suns)
     return Panorama(
         {name: values.reshape(*shape, -1) for name, values in image.items()}, shares, covers
@@ -246,7 +248,9 @@ class _Eye:
 # --- Lamps in sight ----------------------------------------------------------------------------
 
 
-def _add_lamps(model: Model, grid: _Grid, image: dict[str, FloatArray]) -> tuple[FloatArray, ...]:
+def _add_lamps(
+    model: Model, grid: _Grid, image: dict[str, FloatArray], eye: _Eye
+) -> tuple[FloatArray, ...]:
     """Put the lamps in front of what is behind them."""
     scene = model.scene
     size = grid.height * grid.width
@@ -261,29 +265,17 @@ def _add_lamps(model: Model, grid: _Grid, image: dict[str, FloatArray]) -> tuple
         marked |= np.isfinite(distance).reshape(marked.shape)
         _mark(marked, grid, set_lamps.outline(lamp, origin[None])[0] - origin)
     marked = _grown(marked)
-    planes = model.surfaces.planes()
     finest = _FINEST if grid.height >= 256 else _FINEST_COARSE
     for part in _parts(np.flatnonzero(marked), finest[0]):
         rays = grid.rays(part, finest).reshape(-1, 3)
-        nearest = np.full(len(rays), np.inf)
-        which = np.full(len(rays), -1)
-        shines = np.zeros(len(rays), bool)
-        for number, lamp in enumerate(scene.lamps):
-            distance, bright = set_lamps.first_hits(lamp, origin, rays)
-            closer = distance < nearest
-            nearest[closer], which[closer], shines[closer] = (
-                distance[closer], number, bright[closer]
-            )  # fmt: skip
-        lit = np.flatnonzero(which >= 0)
-        _, wall = first_surfaces(planes, origin, rays[lit])
-        hidden = wall < nearest[lit] * (1.0 - 1e-9)
-        which[lit[hidden]] = -1
+        which, shines = _lamp_met(model, rays)
         owner = which.reshape(len(part), -1)
         is_bright = shines.reshape(owner.shape)
         free = (owner < 0).mean(axis=1)
         behind[part] = free
         for number in range(len(scene.lamps)):
             covers[number][part] = ((owner == number) & is_bright).mean(axis=1)
+    _look_past(model, grid, image, eye, np.flatnonzero((behind > 0.0) & (behind < 1.0)))
     areas = np.repeat(texel_solid_angles(grid.height, grid.width), grid.width)
     for cover, lamp in zip(covers, scene.lamps, strict=True):
         _settle(cover, areas, set_lamps.solid_angle(lamp, origin))
@@ -293,6 +285,39 @@ def _add_lamps(model: Model, grid: _Grid, image: dict[str, FloatArray]) -> tuple
         lit = np.flatnonzero(cover)
         image[scene.class_of[lamp.path]][lit] += cover[lit, None] * lamp.radiance[0]
     return tuple(cover.reshape(grid.height, grid.width) for cover in covers)
+
+
+def _lamp_met(model: Model, rays: FloatArray) -> tuple[NDArray[np.int64], BoolArray]:
+    """Return which lamp rays meet first, -1 where none, and whether it shines there."""
+    origin = model.scene.capture_point
+    nearest = np.full(len(rays), np.inf)
+    which = np.full(len(rays), -1)
+    shines = np.zeros(len(rays), bool)
+    for number, lamp in enumerate(model.scene.lamps):
+        distance, bright = set_lamps.first_hits(lamp, origin, rays)
+        closer = distance < nearest
+        nearest[closer], which[closer], shines[closer] = distance[closer], number, bright[closer]
+    lit = np.flatnonzero(which >= 0)
+    _, wall = first_surfaces(model.surfaces.planes(), origin, rays[lit])
+    which[lit[wall < nearest[lit] * (1.0 - 1e-9)]] = -1
+    return which, shines
+
+
+def _look_past(
+    model: Model, grid: _Grid, image: dict[str, FloatArray], eye: _Eye, texels: NDArray[np.int64]
+) -> None:
+    """Find what is seen beside lamps anew: what is behind a window is not what is around it."""
+    for part in _parts(texels, _PAST[0]):
+        rays = grid.rays(part, _PAST).reshape(-1, 3)
+        which, _ = _lamp_met(model, rays)
+        free = np.flatnonzero(which < 0)
+        seen = {name: np.zeros((len(rays), values.shape[1])) for name, values in image.items()}
+        eye.look(rays[free], seen, free)
+        count = (which < 0).reshape(len(part), -1).sum(axis=1)
+        some = count > 0
+        for name, values in seen.items():
+            total = values.reshape(len(part), _PAST[0], -1).sum(axis=1)
+            image[name][part[some]] = total[some] / count[some, None]
 
 
 def _settle(cover: FloatArray, areas: FloatArray, true: float) -> None:
