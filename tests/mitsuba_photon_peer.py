@@ -6,8 +6,8 @@ Mitsuba's path integrator follows them, find the bright places beside the lamps 
 photons are everywhere in proportion to the light, so that the same time gives a tenth of the noise,
 for all bands at once. ``mitsuba_set_peer`` is the check of both.
 
-job: as of ``mitsuba_set_peer``, with ``photons`` (per pass), ``groups`` (passes) and ``bounces``, at most. Lamps must have
-a place.
+job: as of ``mitsuba_set_peer``, with ``photons`` (per pass), ``groups`` (passes), ``bounces`` (at
+most) and ``grid``. Lamps must have a place.
 
 out: ``picture`` [groups, height, 2 height, bands], the mean radiance of every texel, and ``flux``
 [groups, surfaces + 1, grid * grid, bands] that arrives at the front of every surface, whose two

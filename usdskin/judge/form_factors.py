@@ -94,7 +94,7 @@ def shares(
         ways = directions[part].reshape(-1, 3)
         begin = points[part].reshape(-1, 3)
         held = rays if points.shape[1] == 1 else 1
-        found, u, v, far = _first(planes[which], begin, held, ways)
+        found, u, v, far = first_blockers(planes[which], begin, held, ways)
         for lamp in above:
             found[stops(lamp, np.repeat(begin, held, axis=0), ways, far)] = -1
         owner = np.repeat(np.arange(part.stop - part.start), rays)
@@ -122,10 +122,17 @@ def _parts(count: int, rays: int) -> Iterator[slice]:
         yield slice(begin, min(begin + step, count))
 
 
-def _first(
+def first_blockers(
     planes: FloatArray, points: FloatArray, held: int, ways: FloatArray
 ) -> tuple[NDArray[np.int64], FloatArray, FloatArray, FloatArray]:
-    """Return the blocker that each ray meets first, or -1, u and v there, and how far it is."""
+    """Return the blocker that each ray meets first, or -1, u and v there, and how far it is.
+
+    Args:
+        planes: Of the blockers, shape [count, 3, 4].
+        points: Where rays begin [m], shape [point_count, 3].
+        held: How many rays begin at each.
+        ways: Unit vectors, shape [point_count * held, 3].
+    """
     here, there = coordinates(planes, points), planes[..., :3] @ ways.T
     nearest = np.full(len(ways), np.inf)
     found = np.full(len(ways), -1)

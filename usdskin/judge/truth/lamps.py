@@ -255,11 +255,11 @@ def stops(
         with np.errstate(divide="ignore", invalid="ignore"):
             far = -start[:, 2] / way[:, 2]
             spot = start[:, :2] + far[:, None] * way[:, :2]
-            return (far > 0.0) & (far < most) & ((spot**2).sum(axis=1) <= a * a)
+            return np.asarray((far > 0.0) & (far < most) & ((spot**2).sum(axis=1) <= a * a))
     square = np.einsum("ij,ij->i", way[:, first:], way[:, first:])
     ahead = np.einsum("ij,ij->i", start[:, first:], way[:, first:])
     apart = np.einsum("ij,ij->i", start[:, first:], start[:, first:]) - b * b
-    result = ahead * ahead > square * apart
+    result = np.asarray(ahead * ahead > square * apart)
     rows = np.flatnonzero(result)
     square = np.maximum(square[rows], 1e-300)
     root = np.sqrt(ahead[rows] ** 2 - square * apart[rows])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from usdskin.judge.form_factors import cosine_directions, lattice, shares
 from usdskin.judge.truth.cells import Cells, Cutting, Grids, cells_of, cut_grids, edge_lines
 from usdskin.judge.truth.geometry import Blockers, coordinates, first_surfaces
+from usdskin.judge.truth.lamp_rays import taken_by_lamps
 from usdskin.judge.truth.sets import SetScene
 from usdskin.judge.truth.sources import Sources, make_sources
 from usdskin.latlong import texel_directions
@@ -231,6 +232,7 @@ def solve(
     factors[is_covered], direct[is_covered] = 0.0, 0.0
     factors = balanced(factors, model.area)
     at_corners = _corner_factors(model, tell)
+    taken = taken_by_lamps(model.sources.lamps, model.blockers, model.surface_count)
     result = {}
     for name in model.scene.classes:
         spectra = model.sources.spectra_of(name)
@@ -239,6 +241,7 @@ def solve(
         arriving = direct @ spectra + factors @ radiosity
         absorbed = model.area @ ((1.0 - reflectance) * arriving)
         absorbed += (model.area * (1.0 - factors.sum(axis=1))) @ radiosity
+        absorbed += model.sources.emitted(name, taken)
         balance = Balance(model.sources.emitted(name), absorbed)
         result[name] = Solution(radiosity, at_corners @ radiosity, balance)
     return result, is_closed
@@ -317,7 +320,7 @@ def _direct(model: Model, index: int) -> FloatArray:
     points = _samples(model, index, 0.5 + 0.5 * nodes)
     factor = model.sources.factors(model.blockers, index, points)
     weight = (weights[:, None] * weights[None]).ravel() / 4.0
-    return np.einsum("cks,k->cs", factor.reshape(len(middles), -1, factor.shape[1]), weight)
+    return np.asarray(weight @ factor.reshape(len(middles), -1, factor.shape[1]))
 
 
 # --- Corners -----------------------------------------------------------------------------------
@@ -337,10 +340,10 @@ def _nodes(blockers: Blockers, grids: Grids) -> Grids:
 
 
 def _doubled(cuts: FloatArray, lines: FloatArray) -> FloatArray:
-    is_line = np.isclose(cuts[:, None], lines[None], rtol=0.0, atol=1e-8).any(axis=1)
+    is_line = np.abs(cuts[:, None] - lines[None]).min(axis=1) < 1e-8
+    inset = np.where(is_line, _INSET, 0.0)
     width = np.diff(cuts)
-    after = cuts[:-1] + np.where(is_line[:-1], _INSET, 0.0) * width
-    before = cuts[1:] - np.where(is_line[1:], _INSET, 0.0) * width
+    after, before = cuts[:-1] + inset[:-1] * width, cuts[1:] - inset[1:] * width
     return np.unique(np.concatenate([after, before]))
 
 

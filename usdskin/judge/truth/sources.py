@@ -63,12 +63,18 @@ class Sources:
         is_one = np.array([item == name for item in self.classes])
         return np.asarray(np.where(is_one[:, None], self.spectra, 0.0))
 
-    def emitted(self, name: str) -> FloatArray:
-        """Return the flux that lamps of a class emit [W nm^-1], shape [band_count]."""
+    def emitted(self, name: str, share: FloatArray | None = None) -> FloatArray:
+        """Return the flux that lamps of a class emit [W nm^-1], shape [band_count].
+
+        Args:
+            name: The class.
+            share: What of each lamp's flux is counted, shape [lamp_count]; all where None.
+        """
         total = np.zeros(self.spectra.shape[1])
-        for lamp, column in zip(self.lamps, self.column, strict=True):
+        for number, (lamp, column) in enumerate(zip(self.lamps, self.column, strict=True)):
             if self.classes[column] == name:
-                total += np.pi * set_lamps.area(lamp) * self.spectra[column]
+                part = 1.0 if share is None else float(share[number])
+                total += part * np.pi * set_lamps.area(lamp) * self.spectra[column]
         return total
 
     def distance(self, points: FloatArray, normal: FloatArray) -> FloatArray:
