@@ -3,7 +3,7 @@
 Mitsuba is given numbers, not USD: corners, reflectances, lamps. Photons of our own on its shapes
 and rays (``mitsuba_photon_peer.py``) tell walls from one another to .1 %; that they are right is
 checked against Mitsuba's path integrator (``mitsuba_set_peer.py``), which is noisier. ``python
-tests/test_solve_mitsuba.py [SET] [CELLS]`` prints the table of docs/sets.md.
+tests/test_solve_mitsuba.py [SET] [CELLS] [PHOTONS]`` prints the table of docs/sets.md.
 """
 
 from __future__ import annotations
@@ -101,15 +101,15 @@ def differences(
 
 @pytest.mark.parametrize("name", SETS)
 def test_a_set_matches_photons_by_region_and_by_irradiance(tmp_path: Path, name: str):
-    """Walls, ceiling, floor and six normals, twelve bands, to 0.5 %."""
+    """Walls, ceiling, floor and six normals, twelve bands, to 0.5 % (and the noise of photons)."""
     scene = read_set(STAGES / name / "set.usda", NM, [])
     theirs = photons(scene, tmp_path, 2_000_000)
     found, weights = ours(scene, 1500)
     assert len(weights) >= 10
     for part, off, error in differences(found, theirs["picture"], weights):
         print(part, np.round(100.0 * off, 2), np.round(100.0 * error.max(), 2))
-        assert (error < 0.4 * BOUND).all(), part
-        assert (np.abs(off) <= BOUND).all(), part
+        assert (error < BOUND).all(), part
+        assert (np.abs(off) <= BOUND + 2.0 * error).all(), part
 
 
 def test_photons_agree_with_mitsubas_path_integrator(tmp_path: Path):
@@ -129,10 +129,11 @@ def main() -> None:
 
     names = sys.argv[1:2] or SETS
     cells = int(sys.argv[2]) if len(sys.argv) > 2 else 1500
+    count = int(sys.argv[3]) if len(sys.argv) > 3 else 4_000_000
     for name in names:
         scene = read_set(STAGES / name / "set.usda", NM, [])
         with tempfile.TemporaryDirectory() as folder:
-            theirs = photons(scene, Path(folder), 4_000_000)
+            theirs = photons(scene, Path(folder), count)
         found, weights = ours(scene, cells)
         for part, off, error in differences(found, theirs["picture"], weights):
             low, high, noise = 100 * off.min(), 100 * off.max(), 100 * error.max()

@@ -32,8 +32,8 @@ def finer(
         gathered: For each class the light there, zero where a corner is covered, shape
             [corner_count, band_count].
     """
-    cuts = []
-    parts: dict[str, list[FloatArray]] = {name: [] for name in gathered}
+    cuts, parts = [], []
+    everything = np.concatenate(list(gathered.values()), axis=1)
     for index, (u, v) in enumerate(corners.cuts):
         pieces = [
             [part for part in np.split(nodes, np.searchsorted(nodes, lines)) if part.size]
@@ -42,11 +42,10 @@ def finer(
         fine = [[_cut(part) for part in axis] for axis in pieces]
         cuts.append((np.concatenate(fine[0]), np.concatenate(fine[1])))
         rows = slice(int(corners.first[index]), int(corners.first[index + 1]))
-        for name, values in gathered.items():
-            grid = values[rows].reshape(u.size, v.size, -1)
-            finest = _carried(grid, pieces, fine)
-            parts[name].append(finest.reshape(-1, finest.shape[-1]))
-    return Grids(tuple(cuts)), {name: np.concatenate(part) for name, part in parts.items()}
+        grid = everything[rows].reshape(u.size, v.size, -1)
+        parts.append(_carried(grid, pieces, fine).reshape(-1, grid.shape[-1]))
+    split = np.split(np.concatenate(parts), len(gathered), axis=1)
+    return Grids(tuple(cuts)), dict(zip(gathered, split, strict=True))
 
 
 def _cut(nodes: FloatArray) -> FloatArray:
@@ -81,12 +80,27 @@ def _carried(
 
 
 def _curve(nodes: FloatArray, at: FloatArray, light: FloatArray) -> FloatArray:
-    """Return what lies between values along the first axis."""
-    from scipy.interpolate import PchipInterpolator
+    """Return what lies between values along the first axis, shape [places, other, bands].
 
-    if nodes.size == 1:
-        return np.repeat(light, at.size, axis=0)
-    return np.asarray(PchipInterpolator(nodes, light, axis=0)(at))
+    What keeps the cubics from overshooting is found for the sum over bands and holds for each: so
+    spectra are weighted means of those at the corners, and classes of light add up.
+    """
+    from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+
+    if nodes.size < 3:
+        return np.asarray(np.einsum("ai,ijk->ajk", _line(nodes, at), light))
+    total = light.sum(axis=-1)
+    straight = _slopes(nodes, total)
+    kept = np.asarray(PchipInterpolator(nodes, total, axis=0).derivative()(nodes))
+    safe = np.abs(straight) > 1e-12 * np.abs(total).max()
+    share = np.where(safe, np.clip(kept / np.where(safe, straight, 1.0), 0.0, 2.0), 0.0)
+    slopes = share[..., None] * _slopes(nodes, light)
+    return np.asarray(CubicHermiteSpline(nodes, light, slopes, axis=0)(at))
+
+
+def _slopes(nodes: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the slopes of parabolas through neighbours along the first axis."""
+    return np.asarray(np.gradient(values, nodes, axis=0, edge_order=2))
 
 
 def _line(nodes: FloatArray, at: FloatArray) -> FloatArray:

@@ -35,7 +35,7 @@ _FINEST = (4181, 2584)
 """Rays in one that holds the edge of a lamp, at 256 rows and more."""
 _FINEST_COARSE = (28657, 17711)
 """The same, in coarser pictures."""
-_PAST = (55, 34)
+_PAST = (21, 13)
 """Rays in one that holds the edge of a lamp, to see what is beside it."""
 _CONTRAST = 0.03
 _RAYS = 1 << 16
