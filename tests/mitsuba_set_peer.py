@@ -67,7 +67,7 @@ def scene(job: Job, bands: slice) -> mi.Scene:
             "direction": (-job["sun_direction"]).tolist(),
             "irradiance": rgb(job["sun_irradiance"][bands]),
         }
-    return mi.load_dict(result)
+    return mi.load_dict(result, optimize=False)  # which would join surfaces of the same paint
 
 
 def directions(height: int, samples: int, random: NDArray) -> NDArray:

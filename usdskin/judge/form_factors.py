@@ -7,13 +7,15 @@ shares add up to what does not leave the set.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.judge.truth.cells import Cells
 from usdskin.judge.truth.geometry import Blockers, coordinates
+from usdskin.judge.truth.lamps import stops
+from usdskin.render.local_lights import LocalLight
 
 FloatArray = NDArray[np.float64]
 
@@ -59,6 +61,7 @@ def shares(
     index: int,
     points: FloatArray,
     directions: FloatArray,
+    lamps: Sequence[LocalLight] = (),
 ) -> FloatArray:
     """Return the share of each point's rays that ends in the front of each cell.
 
@@ -69,6 +72,7 @@ def shares(
         points: On it [m], where each ray begins, shape [point_count, ray_count, 3] or, for rays
             from one place, [point_count, 1, 3].
         directions: Unit vectors, shape [point_count, ray_count, 3].
+        lamps: What stops light too; rectangles are among the blockers.
 
     Returns:
         Shape [point_count, cell_count].
@@ -79,12 +83,20 @@ def shares(
     before = (blockers.corners - blockers.corner[index]) @ normal[index]
     which = np.flatnonzero(before.max(axis=1) > 1e-7)
     which = which[which != index]
+    above = [
+        lamp
+        for lamp in lamps
+        if lamp.kind != "rect"
+        and (lamp.center - blockers.corner[index]) @ normal[index] > -max(lamp.half)
+    ]
     tables = {k: cell_table(cells, int(k)) for k in which if k < len(cells.spans)}
     for part in _parts(count, rays):
         ways = directions[part].reshape(-1, 3)
         begin = points[part].reshape(-1, 3)
         held = rays if points.shape[1] == 1 else 1
-        found, u, v = _first(planes[which], begin, held, ways)
+        found, u, v, far = first_blockers(planes[which], begin, held, ways)
+        for lamp in above:
+            found[stops(lamp, np.repeat(begin, held, axis=0), ways, far)] = -1
         owner = np.repeat(np.arange(part.stop - part.start), rays)
         target = np.full(len(ways), -1)
         for k in np.unique(found[found >= 0]):
@@ -110,10 +122,17 @@ def _parts(count: int, rays: int) -> Iterator[slice]:
         yield slice(begin, min(begin + step, count))
 
 
-def _first(
+def first_blockers(
     planes: FloatArray, points: FloatArray, held: int, ways: FloatArray
-) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-    """Return the blocker that each ray meets first, or -1, and u and v there."""
+) -> tuple[NDArray[np.int64], FloatArray, FloatArray, FloatArray]:
+    """Return the blocker that each ray meets first, or -1, u and v there, and how far it is.
+
+    Args:
+        planes: Of the blockers, shape [count, 3, 4].
+        points: Where rays begin [m], shape [point_count, 3].
+        held: How many rays begin at each.
+        ways: Unit vectors, shape [point_count * held, 3].
+    """
     here, there = coordinates(planes, points), planes[..., :3] @ ways.T
     nearest = np.full(len(ways), np.inf)
     found = np.full(len(ways), -1)
@@ -133,4 +152,4 @@ def _first(
         rows = rows[inside]
         nearest[rows], found[rows] = distance[inside], k
         at_u[rows], at_v[rows] = u[inside], v[inside]
-    return found, at_u, at_v
+    return found, at_u, at_v, nearest

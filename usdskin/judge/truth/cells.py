@@ -20,6 +20,12 @@ _GAP = 0.2
 """Height above a surface up to which edges that run along it cut it [m]: what is below a sofa is
 dark, and no cell is half of it."""
 
+_BESIDE = 0.15
+"""Furthest from such an edge that it cuts beside it [m]."""
+
+_CLOSE = 0.01
+"""Nor is it so near to another cut [m]."""
+
 _LEAST = 0.04
 """Size below which no cell is halved for being near a lamp [m]."""
 
@@ -119,6 +125,9 @@ class Cutting:
     edge: float = 1.0
     """Size at the edges of surfaces, over the size elsewhere."""
 
+    beside: tuple[float, ...] = ()
+    """Where else to cut beside an edge of something before a surface, over its height there."""
+
 
 def cut_grids(blockers: Blockers, count: int, cutting: Cutting) -> Grids:
     """Return grids of about as many cells as asked for, all about as large near the camera.
@@ -128,7 +137,7 @@ def cut_grids(blockers: Blockers, count: int, cutting: Cutting) -> Grids:
         count: How many, at most.
         cutting: How they are cut.
     """
-    lines = [_touching(blockers, index) for index in range(len(blockers.corner))]
+    lines = [_touching(blockers, index, cutting.beside) for index in range(len(blockers.corner))]
     low, high = 1e-4, 1e4
     for _ in range(24):
         size = float(np.sqrt(low * high))
@@ -156,8 +165,10 @@ def _grids(
     return Grids(tuple(cuts))
 
 
-def _touching(blockers: Blockers, index: int) -> tuple[FloatArray, FloatArray]:
-    """Return where edges of other surfaces touch a surface, as u and v."""
+def _touching(
+    blockers: Blockers, index: int, beside: tuple[float, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Return where edges of other surfaces touch a surface, as u and v, and places beside them."""
     edge = np.stack([blockers.along[index], blockers.across[index], blockers.normal[index]], axis=1)
     local = (blockers.corners - blockers.corner[index]) @ np.linalg.inv(edge).T
     height = local[..., 2]
@@ -172,11 +183,24 @@ def _touching(blockers: Blockers, index: int) -> tuple[FloatArray, FloatArray]:
         )
     touches &= level
     touches[index] = False
-    found = local[touches][:, :2]
-    return tuple(
-        np.unique(np.concatenate([[0.0, 1.0], np.round(np.clip(found[:, k], 0.0, 1.0), 9)]))
-        for k in (0, 1)
-    )  # type: ignore[return-value]
+    found = local[touches]
+    size = np.linalg.norm([blockers.along[index], blockers.across[index]], axis=1)
+    result = []
+    for k in (0, 1):
+        lines = np.unique(np.round(np.clip([0.0, 1.0, *found[:, k]], 0.0, 1.0), 9))
+        high = found[:, 2] > 1e-3
+        for share in beside:
+            away = np.minimum(share * found[high, 2], _BESIDE) / size[k]
+            for at in np.unique(np.concatenate([found[high, k] - away, found[high, k] + away])):
+                if np.abs(lines - at).min() * size[k] > _CLOSE and 0.0 < at < 1.0:
+                    lines = np.sort(np.append(lines, at))
+        result.append(lines)
+    return result[0], result[1]
+
+
+def edge_lines(blockers: Blockers, index: int) -> tuple[FloatArray, FloatArray]:
+    """Return where edges of other surfaces touch a surface, as u and v from 0 to 1."""
+    return _touching(blockers, index, ())
 
 
 def _cut(

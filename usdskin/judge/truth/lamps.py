@@ -151,7 +151,7 @@ def targets(lamp: LocalLight, fineness: int = 1) -> tuple[FloatArray, FloatArray
     x, y, z = lamp.axes
     if lamp.kind == "rect":
         long = max(a, b)
-        counts = [max(2, round(5 * fineness * size / long)) for size in (a, b)]
+        counts = [max(2, round(32 * fineness * size / long)) for size in (a, b)]
         grid = [(np.arange(count) + 0.5) * 2.0 / count - 1.0 for count in counts]
         s, t = (part.ravel() for part in np.meshgrid(*grid, indexing="ij"))
         return lamp.center + np.outer(a * s, x) + np.outer(b * t, y), np.broadcast_to(
@@ -234,3 +234,74 @@ def first_hits(
     # Outside first; else the black inside through an open end.
     distance = np.where(hits[0], ways[0], np.where(hits[1], ways[1], np.inf))
     return distance, hits[0]
+
+
+def stops(
+    lamp: LocalLight, begin: FloatArray, ways: FloatArray, most: FloatArray | float
+) -> NDArray[np.bool_]:
+    """Return whether a lamp stands in the way, shape [count].
+
+    Args:
+        lamp: The lamp.
+        begin: Where rays begin, outside it [m], shape [count, 3] or, for all, [1, 3].
+        ways: Their directions, of any length, shape [count, 3].
+        most: How far they go, in lengths of ``ways``, shape [count] or one for all.
+    """
+    a, b = lamp.half
+    start, way = (begin - lamp.center) @ lamp.axes.T, ways @ lamp.axes.T
+    start, most = np.broadcast_to(start, way.shape), np.broadcast_to(most, len(way))
+    first = 0 if lamp.kind == "sphere" else 1
+    if lamp.kind == "disk":
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = -start[:, 2] / way[:, 2]
+            spot = start[:, :2] + far[:, None] * way[:, :2]
+            return np.asarray((far > 0.0) & (far < most) & ((spot**2).sum(axis=1) <= a * a))
+    square = np.einsum("ij,ij->i", way[:, first:], way[:, first:])
+    ahead = np.einsum("ij,ij->i", start[:, first:], way[:, first:])
+    apart = np.einsum("ij,ij->i", start[:, first:], start[:, first:]) - b * b
+    result = np.asarray(ahead * ahead > square * apart)
+    rows = np.flatnonzero(result)
+    square = np.maximum(square[rows], 1e-300)
+    root = np.sqrt(ahead[rows] ** 2 - square * apart[rows])
+    hit = np.zeros(rows.size, bool)
+    for sign in (-1.0, 1.0):
+        far = (sign * root - ahead[rows]) / square
+        meets = (far > 0.0) & (far < most[rows])
+        if lamp.kind == "cylinder":
+            meets &= np.abs(start[rows, 0] + far * way[rows, 0]) <= a
+        hit |= meets
+    result[rows] = hit
+    return result
+
+
+def shading(
+    lamp: LocalLight, points: FloatArray, normal: FloatArray, others: tuple[LocalLight, ...]
+) -> list[tuple[LocalLight, NDArray[np.int64]]]:
+    """Return which other lamps may take a lamp's light from which points.
+
+    Args:
+        lamp: The lamp that shines.
+        points: Where, on a surface [m], shape [count, 3].
+        normal: Its normal, shape [3].
+        others: What may stand in the way; rectangles are left out.
+    """
+    spots = np.concatenate([targets(lamp)[0], lamp.center[None]])
+    result = []
+    for other in others:
+        if other is lamp or other.kind == "rect":
+            continue
+        # A tube stops what passes near its axis, whatever the place along it.
+        first, reach = (1, other.half[1]) if other.kind == "cylinder" else (0, other.half[0])
+        if ((other.center - points[0]) @ normal) < -max(other.half):
+            continue
+        goal = ((spots - other.center) @ other.axes.T)[:, first:]
+        wide = float(np.linalg.norm(goal - goal[-1], axis=1).max())
+        start = ((points - other.center) @ other.axes.T)[:, first:]
+        way = goal[-1] - start
+        square = np.maximum(np.einsum("ij,ij->i", way, way), 1e-300)
+        share = np.clip(-np.einsum("ij,ij->i", start, way) / square, 0.0, 1.0)
+        nearest = start + share[:, None] * way
+        rows = np.flatnonzero(np.einsum("ij,ij->i", nearest, nearest) < (reach + wide) ** 2)
+        if rows.size:
+            result.append((other, rows))
+    return result

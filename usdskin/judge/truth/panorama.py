@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from usdskin.errors import LayerError
 from usdskin.judge.truth import lamps as set_lamps
+from usdskin.judge.truth.finer import finer
 from usdskin.judge.truth.geometry import coordinates, first_surfaces, is_open_towards
-from usdskin.judge.truth.radiosity import Model, Solution, corner_nodes
+from usdskin.judge.truth.radiosity import Model, Solution
 from usdskin.judge.truth.sources import disc_directions, look_at_sky
 from usdskin.latlong import (
     latlong_coordinates,
@@ -34,6 +35,8 @@ _FINEST = (4181, 2584)
 """Rays in one that holds the edge of a lamp, at 256 rows and more."""
 _FINEST_COARSE = (28657, 17711)
 """The same, in coarser pictures."""
+_PAST = (21, 13)
+"""Rays in one that holds the edge of a lamp, to see what is beside it."""
 _CONTRAST = 0.03
 _RAYS = 1 << 16
 
@@ -127,7 +130,7 @@ def see(
         for name, values in seen.items():
             image[name][part] = values.reshape(len(part), _FINER[0], -1).mean(axis=1)
         tell(len(part))
-    covers = _add_lamps(model, grid, image)
+    covers = _add_lamps(model, grid, image, eye)
     shares = tuple(float(eye.sees(disc_directions(sun)).mean()) for sun in scene.suns)
     return Panorama(
         {name: values.reshape(*shape, -1) for name, values in image.items()}, shares, covers
@@ -158,11 +161,16 @@ class _Eye:
 
     def __init__(self, model: Model, solutions: dict[str, Solution]) -> None:
         self._model = model
-        self._solutions = solutions
         self._planes = model.surfaces.planes()
         self._normals = model.surfaces.normal
         self._spectra = {name: model.sources.spectra_of(name) for name in solutions}
-        self._first = model.nodes.first
+        self._corners, self._gathered = finer(
+            model.blockers,
+            model.nodes,
+            {name: item.gathered for name, item in solutions.items()},
+        )
+        self._known = sum(item.sum(axis=1) for item in self._gathered.values()) > 0.0
+        self._first = self._corners.first
 
     def sees(self, directions: FloatArray) -> BoolArray:
         """Return in which directions nothing stands, shape [count]."""
@@ -184,12 +192,12 @@ class _Eye:
                 self._sky(rays[which], out, to[which])
                 continue
             points = origin + distance[which, None] * rays[which]
-            factors, _ = model.sources.factors(model.blockers, int(index), points)
+            factors = model.sources.factors(model.blockers, int(index), points)
             weights, corners = self._between(int(index), points)
             reflected = scene.surfaces.reflectance[index] / np.pi
             for name, values in out.items():
                 arriving = factors @ self._spectra[name]
-                gathered = self._solutions[name].gathered
+                gathered = self._gathered[name]
                 for k in range(4):
                     arriving += weights[:, k, None] * gathered[corners[:, k]]
                 values[to[which]] = reflected * arriving
@@ -208,11 +216,10 @@ class _Eye:
 
     def _between(self, index: int, points: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
         """Return the weights of four corners of a cell, and which they are, shape [count, 4]."""
-        cuts = self._model.nodes.cuts[index]
+        cuts = self._corners.cuts[index]
         _, u, v = coordinates(self._planes[index], points)
         at, low = [], []
-        for coordinate, cut in ((u, cuts[0]), (v, cuts[1])):
-            nodes = corner_nodes(cut)
+        for coordinate, nodes in ((u, cuts[0]), (v, cuts[1])):
             first = np.clip(np.searchsorted(nodes, coordinate) - 1, 0, nodes.size - 2)
             low.append(first)
             share = (coordinate - nodes[first]) / (nodes[first + 1] - nodes[first])
@@ -224,8 +231,7 @@ class _Eye:
                 corners.append(self._first[index] + (low[0] + i) * cuts[1].size + low[1] + j)
         weight, corner = np.stack(weights, axis=1), np.stack(corners, axis=1)
         # Corners below a cabinet know nothing.
-        known = sum(item.gathered.sum(axis=1) for item in self._solutions.values()) > 0.0
-        held = np.where(known[corner], weight, 0.0)
+        held = np.where(self._known[corner], weight, 0.0)
         total = held.sum(axis=1, keepdims=True)
         return np.where(total > 1e-3, held / np.where(total > 1e-3, total, 1.0), 0.0), corner
 
@@ -242,7 +248,9 @@ class _Eye:
 # --- Lamps in sight ----------------------------------------------------------------------------
 
 
-def _add_lamps(model: Model, grid: _Grid, image: dict[str, FloatArray]) -> tuple[FloatArray, ...]:
+def _add_lamps(
+    model: Model, grid: _Grid, image: dict[str, FloatArray], eye: _Eye
+) -> tuple[FloatArray, ...]:
     """Put the lamps in front of what is behind them."""
     scene = model.scene
     size = grid.height * grid.width
@@ -257,29 +265,17 @@ def _add_lamps(model: Model, grid: _Grid, image: dict[str, FloatArray]) -> tuple
         marked |= np.isfinite(distance).reshape(marked.shape)
         _mark(marked, grid, set_lamps.outline(lamp, origin[None])[0] - origin)
     marked = _grown(marked)
-    planes = model.surfaces.planes()
     finest = _FINEST if grid.height >= 256 else _FINEST_COARSE
     for part in _parts(np.flatnonzero(marked), finest[0]):
         rays = grid.rays(part, finest).reshape(-1, 3)
-        nearest = np.full(len(rays), np.inf)
-        which = np.full(len(rays), -1)
-        shines = np.zeros(len(rays), bool)
-        for number, lamp in enumerate(scene.lamps):
-            distance, bright = set_lamps.first_hits(lamp, origin, rays)
-            closer = distance < nearest
-            nearest[closer], which[closer], shines[closer] = (
-                distance[closer], number, bright[closer]
-            )  # fmt: skip
-        lit = np.flatnonzero(which >= 0)
-        _, wall = first_surfaces(planes, origin, rays[lit])
-        hidden = wall < nearest[lit] * (1.0 - 1e-9)
-        which[lit[hidden]] = -1
+        which, shines = _lamp_met(model, rays)
         owner = which.reshape(len(part), -1)
         is_bright = shines.reshape(owner.shape)
         free = (owner < 0).mean(axis=1)
         behind[part] = free
         for number in range(len(scene.lamps)):
             covers[number][part] = ((owner == number) & is_bright).mean(axis=1)
+    _look_past(model, grid, image, eye, np.flatnonzero((behind > 0.0) & (behind < 1.0)))
     areas = np.repeat(texel_solid_angles(grid.height, grid.width), grid.width)
     for cover, lamp in zip(covers, scene.lamps, strict=True):
         _settle(cover, areas, set_lamps.solid_angle(lamp, origin))
@@ -289,6 +285,39 @@ def _add_lamps(model: Model, grid: _Grid, image: dict[str, FloatArray]) -> tuple
         lit = np.flatnonzero(cover)
         image[scene.class_of[lamp.path]][lit] += cover[lit, None] * lamp.radiance[0]
     return tuple(cover.reshape(grid.height, grid.width) for cover in covers)
+
+
+def _lamp_met(model: Model, rays: FloatArray) -> tuple[NDArray[np.int64], BoolArray]:
+    """Return which lamp rays meet first, -1 where none, and whether it shines there."""
+    origin = model.scene.capture_point
+    nearest = np.full(len(rays), np.inf)
+    which = np.full(len(rays), -1)
+    shines = np.zeros(len(rays), bool)
+    for number, lamp in enumerate(model.scene.lamps):
+        distance, bright = set_lamps.first_hits(lamp, origin, rays)
+        closer = distance < nearest
+        nearest[closer], which[closer], shines[closer] = distance[closer], number, bright[closer]
+    lit = np.flatnonzero(which >= 0)
+    _, wall = first_surfaces(model.surfaces.planes(), origin, rays[lit])
+    which[lit[wall < nearest[lit] * (1.0 - 1e-9)]] = -1
+    return which, shines
+
+
+def _look_past(
+    model: Model, grid: _Grid, image: dict[str, FloatArray], eye: _Eye, texels: NDArray[np.int64]
+) -> None:
+    """Find what is seen beside lamps anew: what is behind a window is not what is around it."""
+    for part in _parts(texels, _PAST[0]):
+        rays = grid.rays(part, _PAST).reshape(-1, 3)
+        which, _ = _lamp_met(model, rays)
+        free = np.flatnonzero(which < 0)
+        seen = {name: np.zeros((len(rays), values.shape[1])) for name, values in image.items()}
+        eye.look(rays[free], seen, free)
+        count = (which < 0).reshape(len(part), -1).sum(axis=1)
+        some = count > 0
+        for name, values in seen.items():
+            total = values.reshape(len(part), _PAST[0], -1).sum(axis=1)
+            image[name][part[some]] = total[some] / count[some, None]
 
 
 def _settle(cover: FloatArray, areas: FloatArray, true: float) -> None:

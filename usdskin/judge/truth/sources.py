@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from usdskin.judge.truth import lamps as set_lamps
 from usdskin.judge.truth.geometry import Blockers, candidates, is_open, is_open_towards
-from usdskin.judge.truth.polygons import projected_solid_angle
 from usdskin.judge.truth.sets import SetScene
 from usdskin.latlong import latlong_coordinates, texel_directions, texel_solid_angles
 from usdskin.render.lights import DistantLight, DomeLight, LocalLight
@@ -64,12 +63,18 @@ class Sources:
         is_one = np.array([item == name for item in self.classes])
         return np.asarray(np.where(is_one[:, None], self.spectra, 0.0))
 
-    def emitted(self, name: str) -> FloatArray:
-        """Return the flux that lamps of a class emit [W nm^-1], shape [band_count]."""
+    def emitted(self, name: str, share: FloatArray | None = None) -> FloatArray:
+        """Return the flux that lamps of a class emit [W nm^-1], shape [band_count].
+
+        Args:
+            name: The class.
+            share: What of each lamp's flux is counted, shape [lamp_count]; all where None.
+        """
         total = np.zeros(self.spectra.shape[1])
-        for lamp, column in zip(self.lamps, self.column, strict=True):
+        for number, (lamp, column) in enumerate(zip(self.lamps, self.column, strict=True)):
             if self.classes[column] == name:
-                total += np.pi * set_lamps.area(lamp) * self.spectra[column]
+                part = 1.0 if share is None else float(share[number])
+                total += part * np.pi * set_lamps.area(lamp) * self.spectra[column]
         return total
 
     def distance(self, points: FloatArray, normal: FloatArray) -> FloatArray:
@@ -93,7 +98,7 @@ class Sources:
 
     def factors(
         self, blockers: Blockers, index: int, points: FloatArray, fineness: int = 1
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> FloatArray:
         """Return what points of a surface receive directly.
 
         Args:
@@ -103,10 +108,9 @@ class Sources:
             fineness: How finely lamps are looked at.
 
         Returns:
-            Factors, shape [point_count, count]; and the share of their view that lamps
-            which are no blockers hide, shape [point_count].
+            Factors, shape [point_count, count].
         """
-        result, share = np.zeros((len(points), self.count)), np.zeros(len(points))
+        result = np.zeros((len(points), self.count))
         normal, planes = blockers.normal[index], blockers.planes()
         hull = blockers.corners[index]
         for lamp, column in zip(self.lamps, self.column, strict=True):
@@ -116,14 +120,11 @@ class Sources:
             step = max(1, _CHUNK // len(places))
             for begin in range(0, len(points), step):
                 rows = slice(begin, begin + step)
-                given, taken = _lamp_factor(
-                    lamp, points[rows], normal, places, facing, planes[which]
+                result[rows, column] += _lamp_factor(
+                    lamp, points[rows], normal, places, facing, planes[which], self.lamps
                 )
-                result[rows, column] += given
-                if lamp.kind != "rect":
-                    share[rows] += taken / np.pi
         self._add_far(result, blockers, index, points, planes, normal)
-        return result, share
+        return result
 
     def _add_far(
         self,
@@ -198,20 +199,28 @@ def _lamp_factor(
     places: FloatArray,
     facing: FloatArray | None,
     planes: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return what a lamp gives, and what it takes from the view, projected [sr]."""
+    others: tuple[LocalLight, ...],
+) -> FloatArray:
+    """Return what a lamp gives, projected [sr]."""
     normals = np.broadcast_to(normal, points.shape)
     given = set_lamps.irradiance_factor(lamp, points, normals)
-    taken = given
-    if lamp.kind in ("rect", "disk"):
-        corners = set_lamps.outline(lamp, points) - points[:, None]
-        taken = projected_solid_angle(corners, normals)
-    if len(planes) and (taken > 0.0).any():
-        weight = set_lamps.target_weights(lamp, points, normal, places, facing)
-        free = is_open(planes, points, places)
-        seen = (weight * free).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300)
-        return given * seen, taken * seen
-    return given, taken
+    shading = set_lamps.shading(lamp, points, normal, others)
+    lit = np.zeros(len(points), bool)
+    if len(planes):
+        lit[:] = True
+    for _, rows in shading:
+        lit[rows] = True
+    lit &= given > 0.0
+    if not lit.any():
+        return given
+    free = is_open(planes, points, places)
+    for other, rows in shading:
+        ways = (places[None] - points[rows, None]).reshape(-1, 3)
+        begin = np.repeat(points[rows], len(places), axis=0)
+        free[rows] &= ~set_lamps.stops(other, begin, ways, 1.0).reshape(rows.size, -1)
+    weight = set_lamps.target_weights(lamp, points, normal, places, facing)
+    seen = (weight * free).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300)
+    return np.asarray(np.where(lit, given * seen, given))
 
 
 def disc_directions(sun: DistantLight) -> FloatArray:
