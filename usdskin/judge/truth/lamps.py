@@ -151,7 +151,7 @@ def targets(lamp: LocalLight, fineness: int = 1) -> tuple[FloatArray, FloatArray
     x, y, z = lamp.axes
     if lamp.kind == "rect":
         long = max(a, b)
-        counts = [max(2, round(32 * fineness * size / long)) for size in (a, b)]
+        counts = [max(2, round(12 * fineness * size / long)) for size in (a, b)]
         grid = [(np.arange(count) + 0.5) * 2.0 / count - 1.0 for count in counts]
         s, t = (part.ravel() for part in np.meshgrid(*grid, indexing="ij"))
         return lamp.center + np.outer(a * s, x) + np.outer(b * t, y), np.broadcast_to(
