@@ -41,7 +41,7 @@ def rows(arguments: argparse.Namespace, folder: Path) -> Iterator[dict[str, Any]
         if not (STAGES / name / "set.usda").is_file():
             print(f"{name}: not there", file=sys.stderr)
             continue
-        light: Path | None = None
+        light = arguments.lights and arguments.lights / name / "light.usda"
         for camera in arguments.cameras:
             for estimator in arguments.estimators:
                 for condition, given, seed in _draws(arguments.seeds, estimator):
@@ -163,6 +163,7 @@ def main() -> int:
     parser.add_argument("--estimators", nargs="+", default=list(ESTIMATORS))
     parser.add_argument("--cameras", nargs="+", default=[PROOF_CAMERA])
     parser.add_argument("--subject", default="bust")
+    parser.add_argument("--lights", type=Path, help="folder of lights solved before, by set")
     parser.add_argument("--seeds", type=int, default=1, help="draws of realistic captures")
     parser.add_argument("--traced", action="store_true")
     parser.add_argument("--tones", action="store_true")

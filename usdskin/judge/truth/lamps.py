@@ -17,8 +17,15 @@ FloatArray = NDArray[np.float64]
 
 _ROUND = 48
 """Corners that stand for a circle; its polygon has the circle's area."""
+_WIDE = 0.5
+"""Half the longer side of a rectangle from which it is wide [m]."""
 _ARC = 12
 """Edges that stand for each end of a cylinder."""
+
+
+def is_wide(lamp: LocalLight) -> bool:
+    """Return whether a lamp is so large that its shadows are soft, and its light changes slowly."""
+    return lamp.kind == "rect" and max(lamp.half) >= _WIDE
 
 
 def area(lamp: LocalLight) -> float:
@@ -151,7 +158,7 @@ def targets(lamp: LocalLight, fineness: int = 1) -> tuple[FloatArray, FloatArray
     x, y, z = lamp.axes
     if lamp.kind == "rect":
         long = max(a, b)
-        counts = [max(2, round(12 * fineness * size / long)) for size in (a, b)]
+        counts = [max(2, round(8 * fineness * size / long)) for size in (a, b)]
         grid = [(np.arange(count) + 0.5) * 2.0 / count - 1.0 for count in counts]
         s, t = (part.ravel() for part in np.meshgrid(*grid, indexing="ij"))
         return lamp.center + np.outer(a * s, x) + np.outer(b * t, y), np.broadcast_to(
@@ -296,6 +303,8 @@ def shading(
             continue
         goal = ((spots - other.center) @ other.axes.T)[:, first:]
         wide = float(np.linalg.norm(goal - goal[-1], axis=1).max())
+        if float(np.linalg.norm(goal[-1])) + wide < reach:
+            continue  # tubes in one line: one hides the other from points in that line alone
         start = ((points - other.center) @ other.axes.T)[:, first:]
         way = goal[-1] - start
         square = np.maximum(np.einsum("ij,ij->i", way, way), 1e-300)

@@ -1,8 +1,8 @@
 """What the capture point of a solved set sees: a latlong picture of spectra per light class.
 
-Direct light is found anew where every ray ends; light by way of other surfaces lies between the
-corners of the cells. Texels are averages: those that hold an edge are looked at many times, and
-what a lamp covers is counted more finely still.
+Direct light is found anew where every ray ends; light by way of other surfaces, and of wide
+windows, lies between the corners that it is gathered at. Texels are averages: those that hold an
+edge are looked at many times, and what a lamp covers is counted more finely still.
 """
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ class _Eye:
                 self._sky(rays[which], out, to[which])
                 continue
             points = origin + distance[which, None] * rays[which]
-            factors = model.sources.factors(model.blockers, int(index), points)
+            factors = model.sources.factors(model.blockers, int(index), points, "sharp")
             weights, corners = self._between(int(index), points)
             reflected = scene.surfaces.reflectance[index] / np.pi
             for name, values in out.items():

@@ -90,7 +90,7 @@ class Solution:
     """Of the cells [W m^-2 nm^-1], shape [cell_count, band_count]."""
 
     gathered: FloatArray
-    """Irradiance by way of other surfaces at the corners of the cells, in the order of
+    """Irradiance by way of other surfaces and from wide lamps at the corners, in the order of
     ``corner_points`` [W m^-2 nm^-1], shape [corner_count, band_count]."""
 
     balance: Balance
@@ -231,7 +231,7 @@ def solve(
         tell(1)
     factors[is_covered], direct[is_covered] = 0.0, 0.0
     factors = balanced(factors, model.area)
-    at_corners = _corner_factors(model, tell)
+    at_corners, wide = _corner_factors(model, tell)
     taken = taken_by_lamps(model.sources.lamps, model.blockers, model.surface_count)
     result = {}
     for name in model.scene.classes:
@@ -243,7 +243,7 @@ def solve(
         absorbed += (model.area * (1.0 - factors.sum(axis=1))) @ radiosity
         absorbed += model.sources.emitted(name, taken)
         balance = Balance(model.sources.emitted(name), absorbed)
-        result[name] = Solution(radiosity, at_corners @ radiosity, balance)
+        result[name] = Solution(radiosity, at_corners @ radiosity + wide @ spectra, balance)
     return result, is_closed
 
 
@@ -353,9 +353,12 @@ def corner_points(model: Model, index: int) -> FloatArray:
     return place(model.blockers, index, both[0].ravel(), both[1].ravel())
 
 
-def _corner_factors(model: Model, tell: Callable[[int], None]) -> FloatArray:
-    blocks = []
+def _corner_factors(model: Model, tell: Callable[[int], None]) -> tuple[FloatArray, FloatArray]:
+    """Return form factors from corners to cells, and what wide lamps give the corners."""
+    blocks, wide = [], []
     for index in range(model.surface_count):
-        blocks.append(gather(model, index, corner_points(model, index)))
+        points = corner_points(model, index)
+        blocks.append(gather(model, index, points))
+        wide.append(model.sources.factors(model.blockers, index, points, "wide"))
         tell(1)
-    return np.concatenate(blocks)
+    return np.concatenate(blocks), np.concatenate(wide)

@@ -8,6 +8,7 @@ integrated over what is open.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,10 @@ from usdskin.render.lights import DistantLight, DomeLight, LocalLight
 
 FloatArray = NDArray[np.float64]
 
+Part = Literal["all", "wide", "sharp"]
+
+_WIDE_FINENESS = 4
+"""How finely a window is looked at: its reveal hides narrow strips of it."""
 _CHUNK = 1 << 18
 _SKY_ROWS = 32
 """Rows of directions in which a sky is looked for."""
@@ -97,7 +102,7 @@ class Sources:
         return nearest
 
     def factors(
-        self, blockers: Blockers, index: int, points: FloatArray, fineness: int = 1
+        self, blockers: Blockers, index: int, points: FloatArray, of: Part = "all"
     ) -> FloatArray:
         """Return what points of a surface receive directly.
 
@@ -105,7 +110,7 @@ class Sources:
             blockers: What stops light.
             index: Which of them the points are on.
             points: Where [m], shape [point_count, 3].
-            fineness: How finely lamps are looked at.
+            of: ``wide`` for lamps that are (``lamps.is_wide``), ``sharp`` for all else.
 
         Returns:
             Factors, shape [point_count, count].
@@ -114,7 +119,12 @@ class Sources:
         normal, planes = blockers.normal[index], blockers.planes()
         hull = blockers.corners[index]
         for lamp, column in zip(self.lamps, self.column, strict=True):
-            places, facing = set_lamps.targets(lamp, fineness)
+            wide = set_lamps.is_wide(lamp)
+            if of != "all" and wide != (of == "wide"):
+                continue
+            places, facing = set_lamps.targets(
+                lamp, _WIDE_FINENESS if of == "wide" else 2 if wide else 1
+            )
             which = candidates(blockers, hull, _extent(lamp))
             which = which[which != index]
             step = max(1, _CHUNK // len(places))
@@ -123,7 +133,8 @@ class Sources:
                 result[rows, column] += _lamp_factor(
                     lamp, points[rows], normal, places, facing, planes[which], self.lamps
                 )
-        self._add_far(result, blockers, index, points, planes, normal)
+        if of != "wide":
+            self._add_far(result, blockers, index, points, planes, normal)
         return result
 
     def _add_far(
