@@ -74,7 +74,7 @@ def test_small_lamp_over_a_floor_gives_intensity_times_cos_cubed_over_h_squared(
     scene = scene_of(stage, tmp_path / "set.usda")
     model = make_model(scene, 60)
     points = np.array([[0.0, 0, 0], [1.5, 0, 0], [3.0, 0, -2.0]])
-    factors = model.sources.factors(model.blockers, 0, points)
+    factors = model.sources.factors(model.blockers, 0, points, "sharp")
     cosine = 2.0 / np.linalg.norm(points - [0, 2, 0], axis=1)
     expected = np.pi * 0.002**2 * cosine**3 / 4.0
     np.testing.assert_allclose(factors[:, 0], expected, rtol=1e-5)

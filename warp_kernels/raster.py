@@ -7,7 +7,9 @@ GPU traces rays instead.
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 wp.set_module_options({"enable_backward": False})
 
@@ -56,6 +58,7 @@ def _rasterize_kernel(
     width: wp.int32,
     first_row: wp.int32,
     row_count: wp.int32,
+    wanted: wp.array[wp.int32],
     # Scratch:
     nearness: wp.array2d[wp.float32],
     # Out:
@@ -72,14 +75,16 @@ def _rasterize_kernel(
         width: Columns of the picture [px].
         first_row: First row of the band.
         row_count: Rows of the band.
+        wanted: Not 0 for pixels that are asked for, shape [pixels].
         nearness: Nearness found so far, zeroed by this kernel, shape [pixels, samples].
         face_out: Triangle, -1 where there is none, shape [pixels, samples].
     """
     samples = sample.shape[0]
     for pixel in range(width * row_count):
-        for s in range(samples):
-            nearness[pixel, s] = projection.least
-            face_out[pixel, s] = -1
+        if wanted[pixel] != 0:
+            for s in range(samples):
+                nearness[pixel, s] = projection.least
+                face_out[pixel, s] = -1
     for entry in range(projection.first[band], projection.first[band + 1]):
         face = projection.listed[entry]
         ia = projection.triangle[face, 0]
@@ -104,17 +109,18 @@ def _rasterize_kernel(
             for i in range(i0, i1):
                 for j in range(j0, j1):
                     pixel = i * width + j
-                    for s in range(samples):
-                        x = wp.float32(j) + 0.5 + sample[s][0]
-                        y = top + wp.float32(i) + 0.5 + sample[s][1]
-                        wc = turn * _edge(a, b, ia, ib, x, y)
-                        wa = turn * _edge(b, c, ib, ic, x, y)
-                        wb = turn * _edge(c, a, ic, ia, x, y)
-                        if wa >= 0.0 and wb >= 0.0 and wc >= 0.0:
-                            near = (wa * a[2] + wb * b[2] + wc * c[2]) * weight
-                            if near > nearness[pixel, s]:
-                                nearness[pixel, s] = near
-                                face_out[pixel, s] = face
+                    if wanted[pixel] != 0:
+                        for s in range(samples):
+                            x = wp.float32(j) + 0.5 + sample[s][0]
+                            y = top + wp.float32(i) + 0.5 + sample[s][1]
+                            wc = turn * _edge(a, b, ia, ib, x, y)
+                            wa = turn * _edge(b, c, ib, ic, x, y)
+                            wb = turn * _edge(c, a, ic, ia, x, y)
+                            if wa >= 0.0 and wb >= 0.0 and wc >= 0.0:
+                                near = (wa * a[2] + wb * b[2] + wc * c[2]) * weight
+                                if near > nearness[pixel, s]:
+                                    nearness[pixel, s] = near
+                                    face_out[pixel, s] = face
 
 
 def rasterize_band(
@@ -124,15 +130,22 @@ def rasterize_band(
     width: int,
     first_row: int,
     row_count: int,
+    pixels: NDArray[np.int32] | None = None,
 ) -> wp.array2d[wp.int32]:
-    """Return the first triangle of every sample of a band, -1 for none, [pixels, samples]."""
+    """Return the first triangle of every sample of a band, -1 for none, [pixels, samples].
+
+    Where only some ``pixels`` are asked for, the rest is not set.
+    """
+    wanted = np.zeros(width * row_count, np.int32)
+    wanted[slice(None) if pixels is None else pixels] = 1
+    asked = wp.array(wanted, device=sample.device)
     shape = (width * row_count, sample.shape[0])
     face = wp.empty(shape, dtype=wp.int32, device=sample.device)
     nearness = wp.empty(shape, dtype=wp.float32, device=sample.device)
     wp.launch(
         _rasterize_kernel,
         dim=1,
-        inputs=[projection, sample, band, width, first_row, row_count, nearness],
+        inputs=[projection, sample, band, width, first_row, row_count, asked, nearness],
         outputs=[face],
         device=sample.device,
     )

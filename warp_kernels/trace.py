@@ -120,11 +120,12 @@ def _trace_kernel(
     sharpness = 0.25
     times = wp.float32(trace.split)
     noise = wp.vec2f(0.0, 0.0)
-    early = wp.vec3f(0.0, 0.0, 0.0)
+    plain = float(0.0)
+    squares = float(0.0)
+    again = 1.0 / trace.weight - 1.0
     for s in range(samples):
         late = 2 * s / samples
-        if s == (samples + 1) / 2:
-            early = sums
+        found = wp.vec3f(0.0, 0.0, 0.0)
         number = trace.first_sample + s * trace.split
         lens = wp.vec2f(0.0, 0.0)
         if camera.lens_radius > 0.0:
@@ -166,7 +167,7 @@ def _trace_kernel(
                     block = guide_block(trace.guide, pixel)
                     guided = face_block(lights, materials, trace, pixel, block, point, r, layer)
                     given = 1.0 + trace.weight * (trace.guide.given[block] - 1.0)
-                sums += _shade_unshadowed(
+                found += _shade_unshadowed(
                     geometry, lights, materials, film, pixel, point, r, times, given
                 )
                 if guided and trace.guide.changes[block] != 0:
@@ -175,18 +176,18 @@ def _trace_kernel(
                     changed = deposit_known(
                         lights, materials, film, pixel, point, scaled, trace.guide, block
                     )
-                    sums += wp.vec3f(changed, 0.0, changed)
+                    found += wp.vec3f(changed, 0.0, changed)
                 added = shade_directions(
                     geometry, lights, materials, film, trace, pixel, layer_key, number, point,
                     r, block, guided,
                 )  # fmt: skip
-                sums += wp.vec3f(added[0], 0.0, added[2])
-                plain = added[0] + (1.0 / trace.weight - 1.0) * added[2]
+                found += wp.vec3f(added[0], 0.0, added[2])
+                light = added[0] + again * added[2]
                 if trace.split > 1:
                     noise[0] += added[1]
-                    noise[1] += plain - added[1]
+                    noise[1] += light - added[1]
                 else:
-                    noise[late] += plain
+                    noise[late] += light
             alpha += clear * opacity
             clear = clear * (1.0 - opacity)
             start = beyond(met.distance)
@@ -199,16 +200,14 @@ def _trace_kernel(
                 current = dome
             deposit_dome(lights, film, pixel, ray.direction, times * clear)
             alpha += clear
+        sums += found
+        y = found[0] + again * found[2]
+        plain += y
+        squares += y * y
     _finish(materials, film, trace, pixel, current)
     total = film.xyza[pixel]
     film.xyza[pixel] = wp.vec4f(total[0], total[1], total[2], total[3] + times * alpha)
-    if samples == 1:
-        early = sums
-    again = 1.0 / trace.weight - 1.0
-    early_y = early[0] + again * early[2]
-    trace.luminance[pixel] = wp.vec4f(
-        noise[0], noise[1], early_y, sums[0] + again * sums[2] - early_y
-    )
+    trace.luminance[pixel] = wp.vec4f(noise[0], noise[1], plain, squares)
     trace.tally[pixel] += wp.vec4f(sums[0], sums[1], sums[2], times * wp.float32(samples))
 
 

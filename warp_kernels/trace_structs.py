@@ -65,6 +65,6 @@ class Trace:
     [tile_pixels]."""
 
     luminance: wp.array[wp.vec4f]
-    """Sums of Y over two halves of this pass, ``weight`` taken off: of what directions add, in
-    halves that share their camera samples where these take more than one; and of all, in halves of
-    the camera samples. Shape [tile_pixels]."""
+    """Of this pass, ``weight`` taken off: sums of the Y that directions add over its two halves,
+    which share their camera samples where these take more than one; and of all Y its sum and that
+    of its squares over camera samples. Shape [tile_pixels]."""

@@ -122,7 +122,7 @@ def _wrap(skin: SkinMaterial) -> float:
 def gloss_alphas(
     materials: Sequence[SkinMaterial | SurfaceMaterial], ladder: tuple[float, ...]
 ) -> tuple[float, ...]:
-    """Return the GGX alphas to prefilter, ascending: those in use, or the ladder if they vary."""
+    """Return the GGX alphas to prefilter, ascending: the ladder, cut to what is in use."""
     found: set[float] = set()
     widens = False
     for material in materials:
@@ -141,10 +141,12 @@ def gloss_alphas(
                 if not isinstance(roughness, float | int):
                     return ladder
                 found.add(float(roughness) ** 2)
-    if widens and found:
-        found |= {alpha for alpha in ladder if alpha > min(found)}
+    if not found:
+        return ()
     # Seen at a slant a lobe is up to twice as narrow (``usdskin.render.lobe_albedo``).
-    found |= {0.5 * alpha for alpha in found if alpha > 0.003}
+    halves = {0.5 * alpha for alpha in found if alpha > 0.003}
+    widest = 1.0 if widens else max(found)
+    found |= halves | {alpha for alpha in ladder if min(found | halves) < alpha <= widest}
     return tuple(sorted({round(float(alpha), 6) for alpha in found}))
 
 

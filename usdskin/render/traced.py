@@ -102,8 +102,9 @@ def integrate_traced(
             if projection is not None:
                 first = begin // width
                 face = raster.rasterize_band(
-                    projection, each.offsets, first // rows, width, first, (end - begin) // width
-                )
+                    projection, each.offsets, first // rows, width, first, (end - begin) // width,
+                    active,
+                )  # fmt: skip
             tile.add(each, active, face)
             taken = each.first + each.count - passes[0].first
             if taken >= FIRST_SAMPLES:

@@ -15,15 +15,18 @@ from usdskin.render.traced_passes import Pass, Sampling
 from usdskin.warp_kernels import structs, trace, trace_guide, trace_structs
 
 BLOCK = 4
-"""Side of the blocks of pixels that are sampled alike [px]."""
+"""Side of the blocks of pixels whose light is judged together [px]."""
 
 TYPICAL_NOISE = 0.1
 """Standard deviation of one sample, relative to its pixel, from which on a pixel is held to the
 target error; quieter ones are held to less, by the root of their noise over this."""
 
-EDGES = 0.25
-"""Share of the squared distance of two halves of a pass that is counted as error where it comes
-from edges: the halves lie between one another, so that together they err less."""
+EDGES = 0.5
+"""Variance of a mean over edges, of camera samples that lie in a lattice, times count^1.5, over the
+variance of the samples."""
+
+SURE = 64
+"""Samples from which on a pixel's neighbours do not say that it may have an edge, too."""
 
 PARTS = ("diffuse", "specular", "emission", "indirect")
 """What the light of a pixel is split into, in the kernels' order."""
@@ -69,8 +72,9 @@ class Tile:
         self._trace.luminance = wp.zeros(count, dtype=wp.vec4f, device=device)
         self.variance = np.zeros(count)
         self._taken = np.zeros(count)
-        self.doubt = np.zeros(count)
-        self._spread = np.zeros((count, 2))
+        self.edges = np.zeros(count)
+        self._spread = np.zeros(count)
+        self._torn = np.zeros(count)
 
     def guide(self, parts: LightParts, width: int) -> None:
         """Have blocks of pixels learn what they see; ``block`` is each pixel's."""
@@ -107,7 +111,7 @@ class Tile:
         """Take a pass of samples of some pixels, and judge the variance of their means.
 
         A pass's two halves are as far apart as its noise makes them. ``variance`` is that of the
-        light; ``doubt`` holds what the places of the camera samples make of edges, too.
+        light, ``edges`` that of what the places of the camera samples find.
         """
         film, device = self.film, self._device
         film.sample = each.offsets
@@ -119,20 +123,17 @@ class Tile:
             self._scene.geometry, self._rays, self._scene.lights, self._scene.materials,
             self._trace, film,
         )  # fmt: skip
-        sums = self._trace.luminance.numpy()[active].astype(np.float64)
+        first, second, plain, squares = self._trace.luminance.numpy()[active].astype(float).T
         cameras, split = len(each.offsets), each.split
-        first = (cameras + 1) // 2
-        shares = [first * split, (cameras - first) * split]
-        noisy = [cameras * (split // 2), cameras * (split - split // 2)] if split > 1 else shares
+        half = cameras * (split // 2) if split > 1 else (cameras + 1) // 2
+        rest = each.count - half
         self._taken[active] += each.weight * each.count
-        for k, counts in enumerate((noisy, shares)):
-            first_mean, second_mean = (sums[:, 2 * k + j] / max(counts[j], 1) for j in range(2))
-            self._spread[active, k] += (
-                each.weight**2 * counts[0] * counts[1] * (first_mean - second_mean) ** 2
-            )
-        spread = self._spread[active] / self._taken[active, None] ** 2
-        self.variance[active] = spread[:, 0]
-        self.doubt[active] = np.maximum(spread[:, 0], EDGES * spread[:, 1])
+        apart = first / half - second / max(rest, 1)
+        self._spread[active] += each.weight**2 * half * rest * apart**2
+        between = np.maximum(squares - plain**2 / cameras, 0.0) / max(cameras - 1, 1)
+        self._torn[active] += EDGES * each.weight**2 * np.sqrt(cameras) * between
+        self.variance[active] = self._spread[active] / self._taken[active] ** 2
+        self.edges[active] = self._torn[active] / self._taken[active] ** 2
 
     def learn(self, active: NDArray[np.int32]) -> None:
         """Have the blocks of some pixels know what they have counted so far."""
@@ -158,7 +159,10 @@ class Tile:
 def unfinished(
     tile: Tile, active: NDArray[np.int32], width: int, settings: Sampling, taken: int
 ) -> NDArray[np.int32]:
-    """Return the pixels of the blocks whose error is still above the target.
+    """Return the pixels whose error is still above the target.
+
+    Light is judged by blocks: the noise of few samples says little of a pixel. Edges are judged by
+    pixels, and at first by their neighbours in the block, since few samples may have missed them.
 
     The error of a picture falls most where samples go in proportion to noise, not to its square as
     they would if all blocks were held to one error. So quieter blocks, whose samples are few, are
@@ -166,18 +170,37 @@ def unfinished(
     """
     if settings.target_error <= 0.0:
         return active
-    owner = _blocks(active, width)
-    sizes = np.bincount(owner)
-    variance = np.bincount(owner, tile.doubt[active]) / sizes
-    level = np.maximum(np.bincount(owner, tile.mean[active]) / sizes, settings.floor)
+    block, count = _blocks(tile.count, width)
+    mean = tile.mean
+    shown = np.maximum(np.bincount(block, mean != 0.0, count), 1.0)
+    level = np.maximum(np.bincount(block, mean, count) / shown, settings.floor)
     allowed = settings.target_error**2 * np.sqrt(taken) / TYPICAL_NOISE
-    allowed = min(allowed, settings.target_error)
-    keep = variance > (allowed * level) ** 2
-    return np.asarray(active[keep[owner]])
+    allowed = (min(allowed, settings.target_error) * level) ** 2
+    noisy = np.bincount(block, tile.variance, count) / shown > allowed
+    edge = tile.edges > allowed[block]
+    if taken < SURE:
+        edge = _beside(edge, width)
+    keep = (noisy[block] & (mean != 0.0)) | edge
+    return np.asarray(active[keep[active]])
 
 
-def _blocks(active: NDArray[np.int32], width: int) -> NDArray[np.int64]:
-    """Return the block of every pixel, counted from 0."""
-    row, column = active // width, active % width
-    block = row // BLOCK * (-(-width // BLOCK)) + column // BLOCK
-    return np.asarray(np.unique(block, return_inverse=True)[1])
+def _blocks(pixel_count: int, width: int) -> tuple[NDArray[np.int64], int]:
+    """Return the block of every pixel of a tile, and how many there are."""
+    row, column = np.divmod(np.arange(pixel_count), width)
+    across = -(-width // BLOCK)
+    block = row // BLOCK * across + column // BLOCK
+    return block, int(block[-1]) + 1
+
+
+def _beside(chosen: NDArray[np.bool_], width: int) -> NDArray[np.bool_]:
+    """Return the chosen pixels of a tile and their neighbours in the same block."""
+    found = chosen.reshape(-1, width)
+    for axis in (0, 1):
+        before = np.roll(found, 1, axis)
+        after = np.roll(found, -1, axis)
+        place = np.arange(found.shape[axis])
+        place = place[:, None] if axis == 0 else place[None]
+        before &= place % BLOCK > 0
+        after &= (place % BLOCK < BLOCK - 1) & (place < found.shape[axis] - 1)
+        found = found | before | after
+    return np.asarray(found.ravel())

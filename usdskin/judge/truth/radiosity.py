@@ -18,7 +18,7 @@ from usdskin.judge.truth.cells import Cells, Cutting, Grids, cells_of, cut_grids
 from usdskin.judge.truth.geometry import Blockers, coordinates, first_surfaces
 from usdskin.judge.truth.lamp_rays import taken_by_lamps
 from usdskin.judge.truth.sets import SetScene
-from usdskin.judge.truth.sources import Sources, make_sources
+from usdskin.judge.truth.sources import Part, Sources, make_sources
 from usdskin.latlong import texel_directions
 
 FloatArray = NDArray[np.float64]
@@ -40,6 +40,8 @@ _BESIDE = (2.0, 6.0)
 which hides 5 % and 0.7 % of the view there."""
 _CELL_EDGE = 0.25
 """The same of cells."""
+_WIDE_NODES = 3
+"""Points of a cell, in each direction, that windows are looked at from."""
 _TOLERANCE = 1e-9
 _MOST_BOUNCES = 5000
 
@@ -316,11 +318,18 @@ def _direct(model: Model, index: int) -> FloatArray:
     middles = _samples(model, index, np.array([0.5]))
     near = model.sources.distance(middles, model.blockers.normal[index])
     count = int(np.clip(np.ceil(3.0 * (size / np.maximum(near, 1e-3)).max()), 5, 6))
-    nodes, weights = np.polynomial.legendre.leggauss(count)
+    # Edges of shadows cross a cell abruptly; what a window gives changes slowly, but is hidden by
+    # narrow strips.
+    return _averaged(model, index, count, "sharp") + _averaged(model, index, _WIDE_NODES, "wide")
+
+
+def _averaged(model: Model, index: int, node_count: int, of: Part) -> FloatArray:
+    """Return the mean of factors over cells, at nodes in each direction (Gauss-Legendre)."""
+    nodes, weights = np.polynomial.legendre.leggauss(node_count)
     points = _samples(model, index, 0.5 + 0.5 * nodes)
-    factor = model.sources.factors(model.blockers, index, points)
+    factor = model.sources.factors(model.blockers, index, points, of)
     weight = (weights[:, None] * weights[None]).ravel() / 4.0
-    return np.asarray(weight @ factor.reshape(len(middles), -1, factor.shape[1]))
+    return np.asarray(weight @ factor.reshape(-1, len(weight), factor.shape[1]))
 
 
 # --- Corners -----------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from usdskin.render.lights import DistantLight, DomeLight, LocalLight
 
 FloatArray = NDArray[np.float64]
 
-Part = Literal["all", "wide", "sharp"]
+Part = Literal["wide", "sharp"]
 
 _WIDE_FINENESS = 4
 """How finely a window is looked at: its reveal hides narrow strips of it."""
@@ -101,9 +101,7 @@ class Sources:
                 np.minimum(nearest, np.where(shines, length, np.inf), out=nearest)
         return nearest
 
-    def factors(
-        self, blockers: Blockers, index: int, points: FloatArray, of: Part = "all"
-    ) -> FloatArray:
+    def factors(self, blockers: Blockers, index: int, points: FloatArray, of: Part) -> FloatArray:
         """Return what points of a surface receive directly.
 
         Args:
@@ -120,11 +118,9 @@ class Sources:
         hull = blockers.corners[index]
         for lamp, column in zip(self.lamps, self.column, strict=True):
             wide = set_lamps.is_wide(lamp)
-            if of != "all" and wide != (of == "wide"):
+            if wide != (of == "wide"):
                 continue
-            places, facing = set_lamps.targets(
-                lamp, _WIDE_FINENESS if of == "wide" else 2 if wide else 1
-            )
+            places, facing = set_lamps.targets(lamp, _WIDE_FINENESS if wide else 1)
             which = candidates(blockers, hull, _extent(lamp))
             which = which[which != index]
             step = max(1, _CHUNK // len(places))
