@@ -19,7 +19,7 @@ from usdskin.judge.shoot.sensor import exposure_list, exposure_series
 from usdskin.judge.shoot.setups import fisheye
 from usdskin.latlong import texel_directions
 from usdskin.layers import open_stage
-from usdskin.prims import SkinParameters, write_skin
+from usdskin.prims import SkinParameters, read_lens, write_skin
 from usdskin.spectrum import SpectralQuantity, Spectrum
 from usdskin.validate import validate
 
@@ -137,6 +137,26 @@ def test_glare_that_is_not_subtracted_shows(shooting: Shooting, tmp_path: Path) 
     errors = [float(np.median(np.abs(values / truth - 1.0)[dark])) for values in found]
     assert errors[0] < 0.03
     assert errors[1] > 2.0 * errors[0]
+
+
+@pytest.mark.slow
+def test_glare_that_nobody_stated_is_found_beyond_the_image_circle(
+    shooting: Shooting, tmp_path: Path
+) -> None:
+    shoot = shooting("unstated", lens=fisheye(SMALL, glare=0.02), stated_glare=0.0)
+    result = capture_shoot(shoot, tmp_path / "found.usda")
+    for view in result.report.views:
+        assert view.found_glare == pytest.approx(0.02, rel=0.01)
+    told = " ".join(statement.text for statement in result.report.statements())
+    assert "2 % of glare, found beyond the image circles" in told
+    stage = open_stage(tmp_path / "found.usda")
+    cameras = [prim for prim in stage.Traverse() if prim.HasAPI("FisheyeCameraAPI")]
+    lenses = [read_lens(prim) for prim in cameras]
+    assert [lens.glare for lens in lenses] == [view.found_glare for view in result.report.views]
+    stated = shooting("stated", lens=fisheye(SMALL, glare=0.02))
+    capture_shoot(stated, tmp_path / "stated.usda")
+    values, known = (camera_values(tmp_path / name) for name in ("found.usda", "stated.usda"))
+    np.testing.assert_allclose(values.mean(), known.mean(), rtol=1e-4)
 
 
 def reduced_truth(shoot: Path, height: int) -> np.ndarray:

@@ -35,7 +35,7 @@ from usdskin.latlong import latlong_from_world
 from usdskin.layers import check_output, open_stage, used_files
 from usdskin.notes import Note
 from usdskin.photographs.development import find_responses
-from usdskin.photographs.glare import subtract_glare
+from usdskin.photographs.glare import find_glare, subtract_glare
 from usdskin.photographs.merge import MergedView, MergeReport, merge_bracket
 from usdskin.prims import FisheyeLens, Shoot, View, read_shoot
 from usdskin.progress import Progress, SilentProgress
@@ -63,7 +63,8 @@ class CaptureOptions:
     """Use the ratios of exposures that the photographs show, not the stated ones."""
 
     glare: float | None = None
-    """Share of the light spread evenly; None: what each lens says."""
+    """Share of the light spread evenly; None: what each lens says, or where it says 0 what shows
+    beyond the image circle."""
 
     lamps: tuple[tuple[str, float], ...] = ()
     """Names of clipped lamps (``lamp1`` has the largest flux; empty: the only one) and the
@@ -238,7 +239,7 @@ def _compose(
                 notes,
                 measured_exposures=options.measured_exposures,
             )
-            item = _place(view, rotation, merged)
+            item = _place(view, rotation, merged, options.glare is None, notes)
         placed.append(item)
         if options.refine_rotations:
             _keep(merged, scratch / view.name)
@@ -256,11 +257,16 @@ def _compose(
         return placed, compositor.finish(), alignment
 
 
-def _place(view: View, rotation: FloatArray, merged: MergedView) -> PlacedView:
+def _place(
+    view: View, rotation: FloatArray, merged: MergedView, finds_glare: bool, notes: list[Note]
+) -> PlacedView:
     """Subtract the glare, in place, and keep what the alignment needs."""
     height, width = merged.status.shape
     lens = scaled(view.lens, (width, height), view.where)
     check_lens(lens, view.where)
+    if finds_glare and lens.glare == 0.0:
+        glare = find_glare(merged.values, merged.variance, lens, view.where, notes)
+        lens = replace(lens, glare=glare)
     subtract_glare(merged.values, merged.variance, lens)
     small = reduce_view(view.name, lens, rotation, merged.values, merged.status)
     return PlacedView(view, lens, merged.report, small)

@@ -46,7 +46,8 @@ def _lamp_illuminance(value: str) -> tuple[str, float]:
     "--glare",
     type=click.FloatRange(0.0, 0.5),
     metavar="SHARE",
-    help="Share of the light that the lens spreads evenly.  [default: the lens's fisheye:glare]",
+    help="Share of the light that the lens spreads evenly.  [default: the lens's fisheye:glare, "
+    "or what shows beyond the image circle]",
 )
 @click.option(
     "--lamp-illuminance",

@@ -141,6 +141,7 @@ def _view_reports(
             item.view,
             item.merge,
             flux_difference=composed.flux_error,
+            found_glare=item.lens.glare if item.lens.glare != item.view.lens.glare else None,
             rotation_change_deg=float(alignment.change_deg[index]) if is_refined else None,
             is_constrained=bool(alignment.constrained[index]),
         )

@@ -55,6 +55,10 @@ class ViewReport:
     flux_difference: float | None = None
     """Flux of its texels over that of its pixels, less 1 [1]."""
 
+    found_glare: float | None = None
+    """Share of the light spread evenly, found beyond the image circle [1]; None where it was stated
+    or nothing was found."""
+
     rotation_change_deg: float | None = None
     """Angle by which the refinement turned it [deg]; None where it was not asked for."""
 
@@ -272,6 +276,7 @@ def report_view(
     merge: MergeReport,
     *,
     flux_difference: float | None = None,
+    found_glare: float | None = None,
     rotation_change_deg: float | None = None,
     is_constrained: bool = True,
 ) -> ViewReport:
@@ -281,6 +286,7 @@ def report_view(
         view: Names it and its photographs.
         merge: What the merge of its bracket measured.
         flux_difference: Flux of its texels over that of its pixels, less 1 [1].
+        found_glare: Share of the light spread evenly, found beyond the image circle [1].
         rotation_change_deg: Angle by which the refinement turned it [deg].
         is_constrained: Whether its overlap with others told where it faces.
     """
@@ -305,6 +311,7 @@ def report_view(
         dark_share=merge.dark_share,
         moved_share=merge.moved_share,
         flux_difference=flux_difference,
+        found_glare=found_glare,
         rotation_change_deg=rotation_change_deg,
         is_constrained=is_constrained,
     )

@@ -284,6 +284,12 @@ def _composition(report: CaptureReport) -> Statement:
     text = f"the flux of each view is kept to {_percent(report.flux_difference)}"
     if report.overlap_difference is not None:
         text += f"; overlapping views differ by {_percent(report.overlap_difference)} in the median"
+    glare = [view.found_glare for view in report.views if view.found_glare is not None]
+    if glare:
+        shares = _percent(min(glare))
+        if max(glare) > 1.1 * min(glare):
+            shares += f" to {_percent(max(glare))}"
+        text += f"; {shares} of glare, found beyond the image circles, were subtracted"
     if report.negative_share > 0.0:
         text += f"; {_percent(report.negative_share)} of the sphere fell below zero and is black"
     advice = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from usdskin.images import read_headers, read_image
 from usdskin.notes import Note
 from usdskin.photographs.development import find_responses
 from usdskin.photographs.frames import RAW_SUFFIXES
-from usdskin.photographs.glare import subtract_glare
+from usdskin.photographs.glare import find_glare, subtract_glare
 from usdskin.photographs.merge import merge_bracket
 from usdskin.prims import FisheyeLens, Shoot, View
 from usdskin.prims.charts import ColorChart
@@ -101,6 +101,9 @@ def _merged(
     height, width = merged.status.shape
     lens = scaled(view.lens, (width, height), view.where)
     check_lens(lens, view.where)
+    if lens.glare == 0.0:
+        glare = find_glare(merged.values, merged.variance, lens, view.where, notes)
+        lens = replace(lens, glare=glare)
     subtract_glare(merged.values, merged.variance, lens)
     divide_by_vignetting(merged.values, merged.variance, lens)
     return Development(merged.values, merged.variance, merged.status, lens, view.where)
