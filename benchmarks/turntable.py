@@ -15,7 +15,7 @@ from benchmarks.report import Row
 BAR = 20.0
 
 FEW_DIRECTIONS = 512
-"""A quarter of what a bake looks in where nobody says how many."""
+"""Half of what a bake looks in where nobody says how many."""
 
 
 def can_bake() -> bool:

@@ -1,8 +1,8 @@
 """Shadows that were measured before, at the points of a picture.
 
-Of diffuse light they change what ``usdskin.warp_kernels.transfer`` summed at the vertices. Of
-reflections they hide a part: the directions a vertex sees are looked up around the mirrored view,
-as wide as the lobe is.
+Of diffuse light they change what ``usdskin.warp_kernels.transfer_gather`` summed at the vertices.
+Of reflections they hide a part: the directions a vertex sees are looked up around the mirrored
+view, as wide as the lobe is.
 """
 
 from __future__ import annotations

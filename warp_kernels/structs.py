@@ -36,7 +36,7 @@ class Geometry:
     [3 triangle_count], or [0]."""
 
     transfer: wp.array2d[wp.vec4f]
-    """What shadows change of the diffuse rows (``usdskin.warp_kernels.transfer``), shape
+    """What shadows change of the diffuse rows (``usdskin.warp_kernels.transfer_gather``), shape
     [vertex_count, columns]."""
 
     sheet: wp.array[wp.int32]

@@ -23,7 +23,7 @@ from usdskin.render.lights import DomeLight, Lights
 from usdskin.render.transfer import Transfers
 from usdskin.render.transfer_sphere import BYTE, WORD, TransferSphere
 from usdskin.render.uploading import is_solid
-from usdskin.warp_kernels import transfer, transfer_structs
+from usdskin.warp_kernels import transfer_gather, transfer_structs
 
 _PROJECTED_ROWS = 128
 """Rows of the picture that a dome is averaged to before it is spread over the directions."""
@@ -99,7 +99,7 @@ def shade_transfers(
         workers: Where to compute.
     """
     device = workers.device
-    compilation.load(transfer, device)
+    compilation.load(transfer_gather, device)
     groups = int(light.device_lights.group_count)
     flux = np.zeros((groups, len(transfers.sphere.direction), 4), np.float32)
     sets = []
@@ -128,11 +128,11 @@ def shade_transfers(
     device_flux, moment = vec4(flux, device), vec4(_moments(flux, transfers.sphere), device)
 
     def work(begin: int, end: int) -> None:
-        transfer.gather_light(
+        transfer_gather.gather_light(
             light.device_lights, scene.materials, transfers.directions, transfers.measured,
             transfers.vertices, device_flux, moment, change, begin, end,
         )  # fmt: skip
-        transfer.gather_lamps(
+        transfer_gather.gather_lamps(
             scene.geometry, light.device_lights, scene.materials, transfers.measured,
             transfers.vertices, lamps, change, begin, end,
         )  # fmt: skip

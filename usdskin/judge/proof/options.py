@@ -42,7 +42,7 @@ class ProofSize:
 
 SIZES = {
     "tiny": ProofSize(solve_height=64, fisheye=256, exposures=5, width=32, samples=16),
-    "preview": ProofSize(solve_height=128, fisheye=500, exposures=9, width=128, samples=256),
+    "preview": ProofSize(solve_height=128, fisheye=1000, exposures=9, width=128, samples=256),
     "full": ProofSize(solve_height=256, fisheye=1200, exposures=9, width=384, samples=256),
 }
 
