@@ -289,7 +289,7 @@ def _composition(report: CaptureReport) -> Statement:
         shares = _percent(min(glare))
         if max(glare) > 1.1 * min(glare):
             shares += f" to {_percent(max(glare))}"
-        text += f"; {shares} of glare, found beyond the image circles, were subtracted"
+        text += f"; {shares} of glare, found beyond the image circles, was subtracted"
     if report.negative_share > 0.0:
         text += f"; {_percent(report.negative_share)} of the sphere fell below zero and is black"
     advice = []
