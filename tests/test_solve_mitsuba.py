@@ -101,7 +101,7 @@ def differences(
 
 @pytest.mark.parametrize("name", SETS)
 def test_a_set_matches_photons_by_region_and_by_irradiance(tmp_path: Path, name: str):
-    """Walls, ceiling, floor and six normals, twelve bands, and the noise of photons."""
+    """Walls, ceiling, floor and six normals, twelve bands, to 0.5 % (and the noise of photons)."""
     scene = read_set(STAGES / name / "set.usda", NM, [])
     theirs = photons(scene, tmp_path, 2_000_000)
     found, weights = ours(scene, 1500)

@@ -12,9 +12,11 @@ from traced_scenes import BASIS, NM, lamp_room, soft_room
 
 from usdskin.device import open_workers, vec3
 from usdskin.render.domes import DomeLight
+from usdskin.render.film import sample_offsets
 from usdskin.render.light_guide import PARTS, light_parts, turned_parts
 from usdskin.render.light_tree import build_light_tree
 from usdskin.render.lights import DistantLight, Lights
+from usdskin.render.traced_tile import EDGES
 from usdskin.warp_kernels.sampling import DIMENSIONS, direction_numbers
 
 
@@ -357,3 +359,21 @@ def test_parts_hold_every_leaf_once():
         assert chain & set(node.tolist()) == {int(node[part])}
     flux = tree.node_flux.numpy()
     np.testing.assert_allclose(flux[node].sum(), flux[0], rtol=1e-5)
+
+
+# --- Edges ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [4, 8, 16, 64])
+def test_what_lattices_miss_of_an_edge_is_what_the_spread_of_their_samples_says(count: int):
+    """Half planes across a pixel: squared error of the share covered, against its exact value."""
+    random = np.random.default_rng(count)
+    turns, ways = random.uniform(0.0, 2.0 * np.pi, 2000), random.uniform(-0.6, 0.6, 2000)
+    across = np.stack([np.cos(turns), np.sin(turns)])
+    covered = (sample_offsets(count, "box") @ across < ways).astype(float)
+    place = (np.arange(100) + 0.5) / 100 - 0.5
+    fine = np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)
+    exact = np.array([(fine @ way < end).mean() for way, end in zip(across.T, ways, strict=True)])
+    error = ((covered.mean(axis=0) - exact) ** 2).mean()
+    told = EDGES * covered.var(axis=0, ddof=1).mean() * count**-1.5
+    assert 0.7 < told / error < 1.3

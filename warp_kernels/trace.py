@@ -120,7 +120,6 @@ def _trace_kernel(
     sharpness = 0.25
     times = wp.float32(trace.split)
     noise = wp.vec2f(0.0, 0.0)
-    plain = float(0.0)
     squares = float(0.0)
     again = 1.0 / trace.weight - 1.0
     for s in range(samples):
@@ -202,12 +201,12 @@ def _trace_kernel(
             alpha += clear
         sums += found
         y = found[0] + again * found[2]
-        plain += y
         squares += y * y
     _finish(materials, film, trace, pixel, current)
     total = film.xyza[pixel]
     film.xyza[pixel] = wp.vec4f(total[0], total[1], total[2], total[3] + times * alpha)
-    trace.luminance[pixel] = wp.vec4f(noise[0], noise[1], plain, squares)
+    whole = sums[0] + again * sums[2]
+    trace.luminance[pixel] = wp.vec4f(noise[0], noise[1], whole, squares)
     trace.tally[pixel] += wp.vec4f(sums[0], sums[1], sums[2], times * wp.float32(samples))
 
 

@@ -88,7 +88,7 @@ def find_glare(
         Note(
             "glare-unclear",
             where,
-            f"beyond the image circle the corners hold {100.0 * least:.2g} to {100.0 * most:.2g} % "
+            f"beyond the image circle the corners hold {100.0 * least:.1f} to {100.0 * most:.1f} % "
             "of the picture's mean, which is no even veil, so none is subtracted; state "
             "fisheye:glare, or check fisheye:maxAngle and the black level",
         )

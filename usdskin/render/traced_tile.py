@@ -21,9 +21,9 @@ TYPICAL_NOISE = 0.1
 """Standard deviation of one sample, relative to its pixel, from which on a pixel is held to the
 target error; quieter ones are held to less, by the root of their noise over this."""
 
-EDGES = 0.5
-"""Variance of a mean over edges, of camera samples that lie in a lattice, times count^1.5, over the
-variance of the samples."""
+EDGES = 0.6
+"""Squared error of a mean across an edge, of camera samples that lie in a lattice, times count^1.5,
+over the variance of the samples: 0.53 to 0.71 for straight edges and 8 to 128 samples."""
 
 SURE = 64
 """Samples from which on a pixel's neighbours do not say that it may have an edge, too."""
