@@ -50,7 +50,7 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     picture.channel = wp.zeros((count, uploaded.max_rows), dtype=wp.vec4f, device=device)
     picture.xyza = wp.zeros(count, dtype=wp.vec4f, device=device)
     picture.spectrum = wp.zeros((count, 0), dtype=wp.vec4f, device=device)
-    picture.face = wp.empty((0, 0), dtype=wp.int32, device=device)
+    picture.face = wp.empty((count, job["samples"]), dtype=wp.int32, device=device)
 
     def turned(share: float) -> Camera:
         cosine, sine = np.cos(2.0 * np.pi * share), np.sin(2.0 * np.pi * share)

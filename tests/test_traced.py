@@ -109,11 +109,12 @@ def test_a_clear_convex_body_is_the_map_at_every_pixel(tmp_path, smooth, light):
     """Without noise, also where a coarse sphere's smooth normals disagree with its facets."""
     body = skin_sphere(5, 8, smooth=smooth, scattering=0.6)
     view = view_of(tmp_path, [body], light, width=1.1)
-    found, map_ = view.spectra(16), view.mapped(16)
     same = seen_by(view)
     assert same.mean() > 0.7
-    # Of 16 samples both integrators put each at the same place.
-    assert np.abs(found - map_)[same].max() < 1e-6 * map_.max()
+    # Both put samples at the same places; the map shades those on one triangle together.
+    for samples, bound in ((1, 1e-6), (16, 1e-3)):
+        found, map_ = view.spectra(samples), view.mapped(samples)
+        assert np.abs(found - map_)[same].max() < bound * map_.max()
 
 
 def test_the_lustre_of_a_body_nobody_shades_is_not_dimmed_by_the_clear_body(tmp_path):

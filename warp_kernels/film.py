@@ -35,6 +35,12 @@ from usdskin.warp_kernels.visibility import surface_opacity
 
 wp.set_module_options({"enable_backward": False})
 
+TAKEN = wp.constant(-3)
+"""Of a sample's triangle: shaded already, with another sample."""
+
+_RUN = 64
+"""Pixels of one index of a launch on a CPU."""
+
 
 @wp.func
 def finish_rows(
@@ -82,41 +88,69 @@ def shines_when_clear(materials: Materials, material: wp.int32) -> bool:
     return (flags & 6) == 4 and materials.constant[material, INPUT_OPACITY][1] <= 0.0
 
 
-@wp.kernel(enable_backward=False)
-def _picture_kernel(
-    # In:
-    geometry: Geometry,
-    camera: CameraRays,
-    lights: Lights,
-    materials: Materials,
-    # Out:
-    film: Film,
-):
-    """Render one pixel: every sample's surfaces, front to back, then one spectrum per material.
+@wp.func
+def _look(geometry: Geometry, camera: CameraRays, film: Film, pixel: wp.int32):
+    """Find the first triangle of every sample of a pixel by rays."""
+    for s in range(film.sample.shape[0]):
+        ray = picture_ray(camera, film.first_pixel + pixel, film.sample[s], wp.vec2f(0.5, 0.5), 1.0)
+        film.face[pixel, s] = meet(geometry, ray, 0.0, UNKNOWN).face
 
-    Launch dimension: [tile_pixels].
+
+@wp.func
+def _gather(film: Film, pixel: wp.int32, s: wp.int32) -> wp.vec3f:
+    """Return the mean offset [px] of a pixel's samples on the triangle of sample s, and how many
+    they are; those that follow s are marked as taken.
     """
-    pixel = wp.tid()
+    face = film.face[pixel, s]
+    total = film.sample[s]
+    count = float(1.0)
+    for other in range(s + 1, film.sample.shape[0]):
+        if film.face[pixel, other] == face:
+            film.face[pixel, other] = TAKEN
+            total += film.sample[other]
+            count += 1.0
+    return wp.vec3f(total[0] / count, total[1] / count, count)
+
+
+@wp.func(inline=True)
+def _render_pixel(
+    geometry: Geometry, camera: CameraRays, lights: Lights, materials: Materials, film: Film,
+    pixel: wp.int32,
+):  # fmt: skip
+    """Render every sample's surfaces, front to back, then one spectrum per material.
+
+    Samples that see the same triangle of a plain material are one, where their mean is: normals and
+    primvars are so smooth over it that this changes the pixel by the square of its width.
+    """
     index = film.first_pixel + pixel
     samples = film.sample.shape[0]
     share = 1.0 / wp.float32(samples)
     dome = materials.kind.shape[0] - 1
     current = int(-1)
     alpha = float(0.0)
-    rasterized = film.face.shape[0] > 0
-    sharpness = 1.0 / wp.sqrt(wp.float32(wp.max(samples, film.sample_count)))
+    finest = wp.float32(wp.max(samples, film.sample_count))
     for s in range(samples):
-        ray = picture_ray(
-            camera, index, film.sample[s], lens_sample(index, film.first_sample + s), sharpness
-        )
+        offset = film.sample[s]
         clear = float(1.0)
+        known = int(UNKNOWN)
+        if film.face.shape[0] > 0:
+            known = film.face[pixel, s]
+            if known == TAKEN:
+                continue
+            if known >= 0:
+                if (materials.flags[geometry.material[known]] & 256) != 0:
+                    gathered = _gather(film, pixel, s)
+                    offset = wp.vec2f(gathered[0], gathered[1])
+                    clear = gathered[2]
+        sharpness = wp.sqrt(clear / finest)
+        ray = picture_ray(
+            camera, index, offset, lens_sample(index, film.first_sample + s), sharpness
+        )
         start = float(0.0)
         seen_through = int(1)
-        for layer in range(MAX_LAYERS):
-            known = int(UNKNOWN)
-            if layer == 0 and rasterized:
-                known = film.face[pixel, s]
+        for _layer in range(MAX_LAYERS):
             met = meet(geometry, ray, start, known)
+            known = int(UNKNOWN)
             if met.face < 0:
                 if film.show_dome != 0:
                     if current != dome:
@@ -167,14 +201,46 @@ def _picture_kernel(
     film.xyza[pixel] = wp.vec4f(total[0], total[1], total[2], share * alpha)
 
 
+@wp.kernel(enable_backward=False)
+def _picture_kernel(
+    # In:
+    geometry: Geometry,
+    camera: CameraRays,
+    lights: Lights,
+    materials: Materials,
+    run: wp.int32,
+    # Out:
+    film: Film,
+):
+    """Render runs of pixels.
+
+    Launch dimension: [run_count].
+
+    Args:
+        geometry: The surfaces.
+        camera: Where from.
+        lights: The lights.
+        materials: Of the surfaces.
+        run: Pixels of a run: what a launch costs on a CPU for each index is paid once for all.
+        film: The tile.
+    """
+    first = run * wp.tid()
+    for pixel in range(first, wp.min(first + run, film.xyza.shape[0])):
+        if film.face.shape[0] > 0 and film.looked == 0:
+            _look(geometry, camera, film, pixel)
+        _render_pixel(geometry, camera, lights, materials, film, pixel)
+
+
 def render_tile(
     geometry: Geometry, camera: CameraRays, lights: Lights, materials: Materials, film: Film
 ) -> None:
     """Render the pixels of one tile into ``film.xyza`` and ``film.spectrum``."""
+    pixels = film.xyza.shape[0]
+    run = _RUN if film.xyza.device.is_cpu else 1
     wp.launch(
         _picture_kernel,
-        dim=film.xyza.shape[0],
-        inputs=[geometry, camera, lights, materials],
+        dim=-(-pixels // run),
+        inputs=[geometry, camera, lights, materials, run],
         outputs=[film],
         device=film.xyza.device,
     )

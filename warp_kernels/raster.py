@@ -38,15 +38,72 @@ class Projection:
     """How far samples lie from their pixel's middle at most [px]."""
 
 
-@wp.func
-def _edge(a: wp.vec3f, b: wp.vec3f, ia: wp.int32, ib: wp.int32, x: float, y: float) -> wp.float32:
-    """Return twice the signed area of (a, b, point), exactly opposite for (b, a).
+TINY = wp.constant(1.0e-37)
 
-    So two triangles leave no gap along the edge they share.
+TIE = wp.constant(1.0e-6)
+"""How much nearer than an earlier triangle a later one must be: more than rounding."""
+
+
+@wp.struct
+class Edge:
+    """An edge of a triangle, from its vertex of the lower index to the other one.
+
+    So two triangles leave no gap along the edge they share: for both it is the same number.
     """
-    if ia < ib:
-        return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
-    return -((a[0] - b[0]) * (y - b[1]) - (a[1] - b[1]) * (x - b[0]))
+
+    x: wp.float32
+    y: wp.float32
+    """Where it begins [px]."""
+
+    along: wp.float32
+    down: wp.float32
+    """To where it ends [px]."""
+
+    turn: wp.float32
+    """1 where the triangle lies on its positive side, else -1."""
+
+    least: wp.float32
+    """What a sample inside has at least. Samples on the edge itself belong to the triangle to its
+    right, or below it, so to one of the two and to one of those around a vertex."""
+
+    margin: wp.float32
+    """What its function changes by within a pixel's samples, at most [px^2]."""
+
+
+@wp.func
+def _edge(
+    a: wp.vec3f, b: wp.vec3f, ia: wp.int32, ib: wp.int32, turn: wp.float32, reach: wp.float32
+) -> Edge:
+    edge = Edge()
+    first = a
+    last = b
+    edge.turn = turn
+    if ia > ib:
+        first = b
+        last = a
+        edge.turn = -turn
+    edge.x = first[0]
+    edge.y = first[1]
+    edge.along = last[0] - first[0]
+    edge.down = last[1] - first[1]
+    to_right = -edge.turn * edge.down
+    if to_right < 0.0 or (to_right == 0.0 and edge.turn * edge.along < 0.0):
+        edge.least = TINY
+    # A little more, for rounding.
+    edge.margin = 1.001 * reach * (wp.abs(edge.along) + wp.abs(edge.down))
+    return edge
+
+
+@wp.func
+def _side(edge: Edge, x: wp.float32, y: wp.float32) -> wp.float32:
+    """Return twice the signed area of the edge and a point."""
+    return edge.along * (y - edge.y) - edge.down * (x - edge.x)
+
+
+@wp.func
+def _beside(edge: Edge, at_middle: wp.float32, offset: wp.vec2f) -> wp.float32:
+    """Return how far a sample lies inside, from ``_side`` of its pixel's middle."""
+    return edge.turn * (at_middle + (edge.along * offset[1] - edge.down * offset[0]))
 
 
 @wp.kernel(enable_backward=False)
@@ -93,7 +150,7 @@ def _rasterize_kernel(
         a = projection.screen[ia]
         b = projection.screen[ib]
         c = projection.screen[ic]
-        area = _edge(a, b, ia, ib, c[0], c[1])
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         if area != 0.0:
             low_x = wp.min(a[0], wp.min(b[0], c[0])) - projection.reach
             high_x = wp.max(a[0], wp.max(b[0], c[0])) + projection.reach
@@ -106,19 +163,28 @@ def _rasterize_kernel(
             i1 = wp.int32(wp.clamp(high_y - top + 1.0, 0.0, wp.float32(row_count)))
             turn = wp.sign(area)
             weight = 1.0 / wp.abs(area)
+            ab = _edge(a, b, ia, ib, turn, projection.reach)
+            bc = _edge(b, c, ib, ic, turn, projection.reach)
+            ca = _edge(c, a, ic, ia, turn, projection.reach)
             for i in range(i0, i1):
+                y = top + wp.float32(i) + 0.5
                 for j in range(j0, j1):
                     pixel = i * width + j
-                    if wanted[pixel] != 0:
+                    x = wp.float32(j) + 0.5
+                    side_c = _side(ab, x, y)
+                    side_a = _side(bc, x, y)
+                    side_b = _side(ca, x, y)
+                    inside = ab.turn * side_c >= -ab.margin
+                    inside = inside and bc.turn * side_a >= -bc.margin
+                    inside = inside and ca.turn * side_b >= -ca.margin
+                    if inside and wanted[pixel] != 0:
                         for s in range(samples):
-                            x = wp.float32(j) + 0.5 + sample[s][0]
-                            y = top + wp.float32(i) + 0.5 + sample[s][1]
-                            wc = turn * _edge(a, b, ia, ib, x, y)
-                            wa = turn * _edge(b, c, ib, ic, x, y)
-                            wb = turn * _edge(c, a, ic, ia, x, y)
-                            if wa >= 0.0 and wb >= 0.0 and wc >= 0.0:
+                            wc = _beside(ab, side_c, sample[s])
+                            wa = _beside(bc, side_a, sample[s])
+                            wb = _beside(ca, side_b, sample[s])
+                            if wa >= bc.least and wb >= ca.least and wc >= ab.least:
                                 near = (wa * a[2] + wb * b[2] + wc * c[2]) * weight
-                                if near > nearness[pixel, s]:
+                                if near - nearness[pixel, s] > TIE * wp.abs(near):
                                     nearness[pixel, s] = near
                                     face_out[pixel, s] = face
 

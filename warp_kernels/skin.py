@@ -63,7 +63,7 @@ def mapped_lobes(geometry: Geometry, materials: Materials, point: Point) -> wp.v
     return lobes
 
 
-@wp.func
+@wp.func(inline=True)
 def reflect_skin(
     geometry: Geometry, lights: Lights, materials: Materials, point: Point, weight: wp.float32
 ) -> Reflection:

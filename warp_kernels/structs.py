@@ -221,7 +221,8 @@ class Materials:
 
     flags: wp.array[wp.int32]
     """Bit 0 specular workflow, 1 presence opacity, 2 specular rows, 3 tinted specular rows,
-    4 emission row, 5 clearcoat, 6 normal or height map, 7 maps of the lustre."""
+    4 emission row, 5 clearcoat, 6 normal or height map, 7 maps of the lustre, 8 opaque and without
+    textures."""
 
     constant: wp.array2d[wp.vec4f]
     """Values of the inputs that have no texture, shape [material_count, input_count]."""
@@ -297,7 +298,10 @@ class Film:
 
     face: wp.array2d[wp.int32]
     """First triangle of every sample, -1 where there is none, shape [tile_pixels, samples], or
-    [0, 0] where rays find it."""
+    [0, 0] where every sample has a ray of its own."""
+
+    looked: wp.int32
+    """Whether ``face`` is known; else rays find it."""
 
     show_dome: wp.int32
 

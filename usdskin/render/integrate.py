@@ -32,6 +32,9 @@ TILE_PIXELS = 16384
 
 GPU_TILE_PIXELS = 1 << 20
 
+GPU_TILE_SAMPLES = 1 << 24
+"""Samples whose triangles are kept at once."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Faces:
@@ -188,7 +191,7 @@ def integrate(
     folder = checkpoint.file.parent if checkpoint is not None else None
     spectrum = pixel_zeros(resolution, (band_groups(bands), 4), folder)
     on_host = device == "cpu"
-    chunk = TILE_PIXELS if on_host else GPU_TILE_PIXELS
+    chunk = TILE_PIXELS if on_host else min(GPU_TILE_PIXELS, GPU_TILE_SAMPLES // len(chosen))
     rows = min(max(1, chunk // width), height)
     projection = None
     if on_host and camera.lens_radius <= 0.0:
@@ -205,8 +208,11 @@ def integrate(
         tile.sample = offsets
         tile.first_sample, tile.sample_count = share.first(samples), samples
         tile.first_pixel = begin
-        if projection is None:
+        tile.looked = int(projection is not None)
+        if camera.lens_radius > 0.0:
             tile.face = wp.empty((0, 0), dtype=wp.int32, device=device)
+        elif projection is None:
+            tile.face = wp.empty((end - begin, len(chosen)), dtype=wp.int32, device=device)
         else:
             first = begin // width
             tile.face = raster.rasterize_band(

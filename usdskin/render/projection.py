@@ -35,17 +35,14 @@ def project(
     """
     width, height = resolution
     screen, depth = _screen(points, camera, resolution)
-    corner_depth = depth[triangles]
-    kept = np.flatnonzero((corner_depth > camera.clip_near).all(axis=1))
-    if len(kept) < len(triangles):
-        some = (corner_depth > camera.clip_near).any(axis=1)
-        if int(some.sum()) > len(kept):
-            return None
-    rows = screen[triangles[kept], 1]
-    columns = screen[triangles[kept], 0]
-    low, high = rows.min(axis=1) - reach, rows.max(axis=1) + reach
-    seen = (high >= 0) & (low < height)
-    seen &= (columns.max(axis=1) + reach >= 0) & (columns.min(axis=1) - reach < width)
+    nearest, farthest = _extremes(depth, triangles)
+    kept = np.flatnonzero(nearest > camera.clip_near)
+    if len(kept) < np.count_nonzero(farthest > camera.clip_near):
+        return None
+    low, high = _extremes(screen[:, 1], triangles[kept])
+    left, right = _extremes(screen[:, 0], triangles[kept])
+    low, high = low - reach, high + reach
+    seen = (high >= 0) & (low < height) & (right + reach >= 0) & (left - reach < width)
     kept, low, high = kept[seen], low[seen], high[seen]
     bands = -(-height // band_rows)
     first = np.clip(low // band_rows, 0, bands - 1).astype(np.int64)
@@ -53,7 +50,7 @@ def project(
     touched = last - first + 1
     owner = np.repeat(np.arange(len(kept)), touched)
     band = first[owner] + np.arange(len(owner)) - np.repeat(np.cumsum(touched) - touched, touched)
-    order = np.argsort(band, kind="stable")
+    order = np.argsort(band.astype(np.min_scalar_type(bands)), kind="stable")  # by radix
     projection = raster.Projection()
     far = min(camera.clip_far, 1.0e18)
     projection.least = -far if camera.orthographic else 1.0 / far
@@ -65,6 +62,17 @@ def project(
     starts = np.searchsorted(band[order], np.arange(bands + 1)).astype(np.int32)
     projection.first = wp.array(starts, dtype=wp.int32, device=device)
     return projection
+
+
+def _extremes(
+    values: NDArray[np.float64], triangles: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the least and the largest value at the corners of each triangle."""
+    first, second, third = (values[triangles[:, k]] for k in range(3))
+    return (
+        np.minimum(np.minimum(first, second), third),
+        np.maximum(np.maximum(first, second), third),
+    )
 
 
 def _screen(

@@ -23,6 +23,7 @@ from usdskin.render.memory import available_bytes
 from usdskin.render.relief import slopes, unit_normals
 from usdskin.render.surface_rows import (
     GLOSSY,
+    PLAIN,
     SKIN,
     MaterialRows,
     SpectralFrame,
@@ -225,7 +226,7 @@ def _upload(
     limits = [0.0 if row.passage is None else row.passage.limit for row in rows]
     target.passage_limit = floats(np.array(limits), wp.float32)
     target.row_part = ints(np.concatenate([row_parts(row) for row in rows]))
-    target.flags = ints([row.flags for row in rows])
+    target.flags = ints([row.flags | PLAIN * _is_plain(row) for row in rows])
     target.constant = floats(np.stack([row.constant for row in rows]), wp.vec4f)
     target.lustre = floats(lustre, wp.vec3f)
     target.slot = ints(slot)
@@ -252,6 +253,13 @@ def _upload(
     )
     to_rgb = white[:, None] * to_rgb / (white @ to_rgb).mean()
     return Surfaces(target, int(counts.max()), tuple(row.bases @ to_rgb for row in rows))
+
+
+def _is_plain(row: MaterialRows) -> bool:
+    """Return whether a material is opaque and has no textures: smooth all over a triangle."""
+    textured = any(isinstance(value, TextureInput) for value in row.inputs.values())
+    clear = structs.INPUT_OPACITY in row.inputs or row.constant[structs.INPUT_OPACITY, 0] < 1.0
+    return not textured and not clear
 
 
 def _lustre_tables(rows: list[MaterialRows]) -> FloatArray:
