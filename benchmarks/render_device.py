@@ -21,6 +21,7 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     import warp as wp
 
     import usdskin.schemas  # noqa: F401  (registers before the first stage)
+    from usdskin import compilation
     from usdskin.device import open_workers
     from usdskin.render.cameras import Camera, read_camera
     from usdskin.render.film import sample_offsets
@@ -29,7 +30,7 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     from usdskin.render.scene import read_scene
     from usdskin.render.settings import read_settings
     from usdskin.render.uploading import upload
-    from usdskin.warp_kernels import film, structs
+    from usdskin.warp_kernels import film, first_faces, structs
 
     # isort: split
     from pxr import Usd
@@ -44,13 +45,13 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     uploaded, _ = upload(scene, workers, show_dome=False)
     camera = read_camera(stage, "/Camera", moment, resolution, 1.0, "expandAperture", notes)
     count = resolution[0] * resolution[1]
-    film.load(device)
+    for kernels in (film, first_faces):
+        compilation.load(kernels, device)
     picture = structs.Film()
     picture.sample = wp.array(sample_offsets(job["samples"], "box"), dtype=wp.vec2f, device=device)
     picture.channel = wp.zeros((count, uploaded.max_rows), dtype=wp.vec4f, device=device)
     picture.xyza = wp.zeros(count, dtype=wp.vec4f, device=device)
     picture.spectrum = wp.zeros((count, 0), dtype=wp.vec4f, device=device)
-    picture.face = wp.empty((count, job["samples"]), dtype=wp.int32, device=device)
 
     def turned(share: float) -> Camera:
         cosine, sine = np.cos(2.0 * np.pi * share), np.sin(2.0 * np.pi * share)
@@ -59,9 +60,9 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
 
     def draw(seen: Camera, lit: Any) -> None:
         picture.xyza.zero_()
-        film.render_tile(
-            lit.geometry, device_camera(seen, resolution), lit.lights, lit.materials, picture
-        )
+        rays = device_camera(seen, resolution)
+        picture.face = first_faces.find_first_faces(lit.geometry, rays, picture.sample, 0, count)
+        film.render_tile(lit.geometry, rays, lit.lights, lit.materials, picture)
 
     def relit(share: float) -> Any:
         turn = turned(share).to_world[:3, :3] @ camera.to_world[:3, :3].T

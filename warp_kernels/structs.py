@@ -300,9 +300,6 @@ class Film:
     """First triangle of every sample, -1 where there is none, shape [tile_pixels, samples], or
     [0, 0] where every sample has a ray of its own."""
 
-    looked: wp.int32
-    """Whether ``face`` is known; else rays find it."""
-
     show_dome: wp.int32
 
 

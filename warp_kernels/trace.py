@@ -36,7 +36,7 @@ from usdskin.warp_kernels.view import (
 )
 from usdskin.warp_kernels.visibility import surface_opacity
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.func

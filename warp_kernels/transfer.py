@@ -13,7 +13,7 @@ from usdskin.warp_kernels.structs import Geometry, Materials
 from usdskin.warp_kernels.transfer_structs import Places
 from usdskin.warp_kernels.visibility import Crossing, Origin, cross_bodies, gap_of
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 FAR = wp.constant(1.0e18)
 

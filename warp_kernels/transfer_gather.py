@@ -17,7 +17,7 @@ from usdskin.warp_kernels.transfer import FAR, blocks_all, off_surface
 from usdskin.warp_kernels.transfer_structs import Directions, LampSets, Measured, Vertices
 from usdskin.warp_kernels.visibility import Crossing, cross_bodies
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 LAMP_RAYS = wp.constant(4)
 """Rays towards a lamp: two by two over its area."""

@@ -25,7 +25,16 @@ from usdskin.render.film import sample_offsets
 from usdskin.render.memory import pixel_zeros
 from usdskin.render.projection import project
 from usdskin.render.surfaces import band_groups
-from usdskin.warp_kernels import data, film, matte, raster, reflectance_map, structs, trace
+from usdskin.warp_kernels import (
+    data,
+    film,
+    first_faces,
+    matte,
+    raster,
+    reflectance_map,
+    structs,
+    trace,
+)
 
 TILE_PIXELS = 16384
 """Pixels of one launch on the CPU."""
@@ -124,12 +133,12 @@ def picture_kernels(device: str, sources: Collection[str], traced: bool) -> tupl
         sources: The data parts written beside the beauty.
         traced: Whether light is traced.
     """
-    first = trace if traced else film
-    beauty = (first, raster) if device == "cpu" else (first,)
+    faces = [raster] if device == "cpu" else [] if traced else [first_faces]
     mattes = [source for source in sources if source.startswith("crypto")]
     sources = [source for source in sources if source not in TRACED_SOURCES]
     return (
-        *beauty,
+        trace if traced else film,
+        *faces,
         reflectance_map,
         *([matte] if mattes else []),
         *([data] if len(sources) > len(mattes) else []),
@@ -194,7 +203,8 @@ def integrate(
     chunk = TILE_PIXELS if on_host else min(GPU_TILE_PIXELS, GPU_TILE_SAMPLES // len(chosen))
     rows = min(max(1, chunk // width), height)
     projection = None
-    if on_host and camera.lens_radius <= 0.0:
+    is_sharp = camera.lens_radius <= 0.0
+    if on_host and is_sharp:
         compilation.load(raster, device)
         reach = float(np.abs(offsets.numpy()).max())
         projection = project(
@@ -208,11 +218,12 @@ def integrate(
         tile.sample = offsets
         tile.first_sample, tile.sample_count = share.first(samples), samples
         tile.first_pixel = begin
-        tile.looked = int(projection is not None)
-        if camera.lens_radius > 0.0:
+        if not is_sharp:
             tile.face = wp.empty((0, 0), dtype=wp.int32, device=device)
         elif projection is None:
-            tile.face = wp.empty((end - begin, len(chosen)), dtype=wp.int32, device=device)
+            tile.face = first_faces.find_first_faces(
+                scene.geometry, rays, offsets, begin, end - begin
+            )
         else:
             first = begin // width
             tile.face = raster.rasterize_band(
@@ -233,6 +244,8 @@ def integrate(
             spectrum[begin:end] = tile.spectrum.numpy()
         tiles.finished(begin, end)
 
+    if is_sharp and projection is None:
+        compilation.load(first_faces, device)
     compilation.load(film, device)  # once, before the threads ask for it together
     progress.start(count, "render")
     with keeping(checkpoint, {"xyza": xyza, "spectrum": spectrum}) as tiles:
