@@ -4,7 +4,8 @@ Every set is proved (``usdskin prove``) with exact camera values (recovery alone
 capture, and with a realistic capture whose readings err by 3 %, by the default and by the paper's
 literal estimator. The light of a set is solved once. Rendered by map, which has no noise, so that
 what is told is the estimates' error; ``--traced`` adds traced pictures. ``--seeds`` repeats
-realistic captures with other noise, rotations and corners.
+realistic captures with other noise, rotations and corners. ``--class-captures`` captures mixed
+light with each kind of lamp alone too.
 
 Colour difference: CIEDE2000, CIE 1931 2 degrees, on the pixels of skin; Y and white are those of a
 perfect diffuser at the truth's brightest irradiance.
@@ -57,6 +58,7 @@ def rows(arguments: argparse.Namespace, folder: Path) -> Iterator[dict[str, Any]
                         seed=seed,
                         light=light,
                         tones=tones,
+                        class_captures=arguments.class_captures,
                     )
                     output = folder / f"{name}-{len(list(folder.iterdir()))}"
                     row = {
@@ -167,6 +169,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1, help="draws of realistic captures")
     parser.add_argument("--traced", action="store_true")
     parser.add_argument("--tones", action="store_true")
+    parser.add_argument("--class-captures", action="store_true")
     parser.add_argument("--json", type=Path, help="write the rows here too")
     arguments = parser.parse_args()
     if arguments.quick:

@@ -37,6 +37,14 @@ def _white(value: str) -> tuple[float, ...] | str:
     return numbers
 
 
+def _named_path(value: str) -> tuple[str, Path]:
+    """Read NAME=FILE."""
+    name, equals, file = value.partition("=")
+    if not (name and equals and file):
+        raise click.BadParameter(f"{value!r} is not NAME=CAPTURE.usda, such as tubes=tubes.usda.")
+    return name, Path(file)
+
+
 @click.group("estimate", help=with_paragraph_marks(_HELP))
 def estimate() -> None:
     """Hold the commands that estimate spectra."""
@@ -57,6 +65,14 @@ def estimate() -> None:
     type=_PATH,
     metavar="FILE",
     help="Which class of lamp lights what: an image.  [default: estimated]",
+)
+@click.option(
+    "--class-capture",
+    "class_captures",
+    type=_named_path,
+    multiple=True,
+    metavar="NAME=CAPTURE.usda",
+    help="The same place with this class of lamps alone, for all classes or all but one.",
 )
 @click.option(
     "--as",
@@ -100,10 +116,12 @@ def light(
     \b
     Examples:
         usdskin estimate light capture.usda --camera camera.usda -o light.usda
+        usdskin estimate light all.usda --camera camera.usda --class-capture tubes=tubes.usda -o light.usda
         usdskin estimate light studio.hdr --illuminant FL2 -o light.usda
     """
     with Reporter(options) as reporter:
-        check_plot(plot, output, [source, given["camera"], given["class_map"]])
+        captures = [path for _, path in given["class_captures"]]
+        check_plot(plot, output, [source, given["camera"], given["class_map"], *captures])
         result = _estimate(reporter, source, output, given)
         reporter.result("light", result, result.report)
         reporter.wrote(result.paths)
@@ -112,7 +130,7 @@ def light(
 
 def _estimate(reporter: Reporter, source: Path, output: Path, given: dict[str, Any]) -> Any:
     assigned = ("illuminant", "white")
-    measured = ("light_class", "class_map")
+    measured = ("light_class", "class_map", "class_captures")
     if given["camera"] is None:
         if given["illuminant"] is None:
             raise UsageError(
@@ -143,8 +161,9 @@ def _estimate(reporter: Reporter, source: Path, output: Path, given: dict[str, A
 
 def _refuse(given: dict[str, Any], names: tuple[str, ...], belongs_to: str) -> None:
     for name in names:
-        if given[name] is not None:
-            flag = {"light_class": "class"}.get(name, name.replace("_", "-"))
+        if given[name] not in (None, ()):
+            known = {"light_class": "class", "class_captures": "class-capture"}
+            flag = known.get(name, name.replace("_", "-"))
             raise UsageError(f"--{flag} belongs to {belongs_to}; leave it out")
 
 

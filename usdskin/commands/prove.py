@@ -37,6 +37,11 @@ _PATH = click.Path(path_type=Path)
     help="Error that all readings of light share, such as 0.03.  [default: 0]",
 )
 @click.option(
+    "--class-captures",
+    is_flag=True,
+    help="Capture the place with each kind of lamps alone too, where there are several.",
+)
+@click.option(
     "--estimator",
     type=click.Choice(["regression", "literal", "tsvd", "pca", "wiener", "smooth"]),
     default="regression",

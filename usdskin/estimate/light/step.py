@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from usdskin.errors import UsageError
 from usdskin.estimate.light.agreement import check_agreement
 from usdskin.estimate.light.captured import Mixture, captured_map, find_mixture
 from usdskin.estimate.light.layer import Background
@@ -24,6 +25,7 @@ from usdskin.estimate.light.totals import add_up, check_totals
 from usdskin.layers import check_output, open_stage, used_files
 from usdskin.notes import Note
 from usdskin.prims import (
+    CapturedPanorama,
     SpectralCamera,
     read_captured_panorama,
     read_spectral_camera,
@@ -40,6 +42,10 @@ class LightOptions:
 
     class_map: Path | None = None
     """Picture that says which class lights which direction; None: estimated."""
+
+    class_captures: tuple[tuple[str, Path], ...] = ()
+    """Captures of the same place, from the same tripod, with one class of light alone: names and
+    layers. One class may have none: its light is what the others leave."""
 
     form: Form = "basis"
     """``basis``, or ``bands`` for a map with all spectra written out."""
@@ -77,13 +83,16 @@ def estimate_light(
     readings = readings_of(captured)
     is_read = readings.spot is not None or readings.facing is not None
     check_agreement(captured, calibrated, is_read, notes)
-    inputs = [*used_files(stages[0]), *used_files(stages[1]), captured.panorama_file]
+    alone, used = _read_alone(options, calibrated, notes)
+    inputs = [*used_files(stages[0]), *used_files(stages[1]), captured.panorama_file, *used]
     inputs += [path for path in (captured.stddev_file, options.class_map) if path is not None]
     is_mixed = options.light_class is None and len(calibrated.recoveries) > 1
     files = map_files(output, options.form, is_mixed)
     check_output(output, inputs, files.paths(), step="estimate")
     with clock("classes"):
-        mixture = find_mixture(captured, calibrated, options.light_class, options.class_map, notes)
+        mixture = find_mixture(
+            captured, calibrated, options.light_class, options.class_map, alone, notes
+        )
     is_absolute = is_read or calibrated.units == "absolute"
     darkened: dict[int, int] = {}
     unscaled = captured_map(captured, calibrated, mixture, is_absolute, darkened)
@@ -108,6 +117,23 @@ def estimate_light(
         light, totals, background, options.form, files, output, progress, clock
     )
     return LightResult(paths, report, notes, clock.seconds)
+
+
+def _read_alone(
+    options: LightOptions, camera: SpectralCamera, notes: list[Note]
+) -> tuple[dict[str, CapturedPanorama], list[Path]]:
+    """Return the captures of single classes, and the files they are made of."""
+    alone: dict[str, CapturedPanorama] = {}
+    used: list[Path] = []
+    for name, layer in options.class_captures:
+        if name in alone:
+            raise UsageError(f"--class-capture {name}: given twice; keep one of them")
+        stage = open_stage(layer, notes)
+        alone[name] = read_captured_panorama(stage)
+        # Only its share of the whole counts, so a reading need not set its scale.
+        check_agreement(alone[name], camera, True, notes)
+        used += [*used_files(stage), alone[name].panorama_file]
+    return alone, used
 
 
 def _note_darkened(where: str, count: int, light: LightMap, notes: list[Note]) -> None:
@@ -139,6 +165,8 @@ def _settings(options: LightOptions) -> dict[str, Any]:
     given = {
         "class": options.light_class,
         "classMap": None if options.class_map is None else options.class_map.name,
+        "classCaptures": " ".join(f"{name}={path.name}" for name, path in options.class_captures)
+        or None,
         "as": options.form,
     }
     return {name: value for name, value in given.items() if value is not None}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from usdskin.capture.step import CaptureOptions, capture_shoot
 from usdskin.estimate.camera.step import CalibrationOptions, calibrate_camera
-from usdskin.estimate.light.step import estimate_light
+from usdskin.estimate.light.step import LightOptions, estimate_light
 from usdskin.estimate.skin.step import estimate_skin
 from usdskin.judge.proof.fit import fit_options, goniometer_setup
 from usdskin.judge.proof.ideal import expose_exactly, measure_exactly
@@ -19,7 +21,9 @@ from usdskin.judge.proof.light import (
 )
 from usdskin.judge.proof.record import Doing
 from usdskin.judge.proof.shoot import (
+    Shooting,
     chart_seed,
+    class_seed,
     ingest_options,
     ingest_photographs,
     shooting_of,
@@ -96,62 +100,85 @@ class Chain(Steps):
 
     # --- The shoot ----------------------------------------------------------------------------
 
+    def _alone(self) -> dict[str, Path]:
+        """Return the lights that the place is captured in beside the whole one, by class."""
+        is_asked = self.options.class_captures and len(self.truth.classes) > 1
+        return self.truth.classes if is_asked else {}
+
     def _photograph(self) -> None:
-        place, options, progress = self.place, self.options, self.progress
-        light = self.truth.light
-        shooting = shooting_of(options, options.faults, light)
-        self._step(
-            "photograph",
-            "photograph the place",
-            place.command("photograph", light, "-o", place.room, *shooting.options),
-            light_files(light),
-            lambda doing: take_photographs(
-                light, place, shooting, options.threads, progress, doing
-            ),
-            clears=[place.room],
-        )
+        shooting = shooting_of(self.options, self.options.faults, self.truth.light)
+        self._photograph_place("", self.truth.light, shooting)
         for name, layer in self.truth.classes.items():
-            words: list[Any] = ["-o", place.chart(name).parent, "--camera", options.camera]
-            words += ["--same-camera", place.room, "--chart", options.chart, "--chart-only"]
-            words += ["--light-class", name, "--exposures", str(options.size.exposures)]
-            words += ["--stops", options.size.stops, "--stated-glare", "0"]
-            words += ["--vignetting-error", options.faults.vignetting]
-            words += ["--reading-error", options.scale_error]
-            words += ["--seed", str(chart_seed(options.seed, name))]
-            self._step(
-                f"chart-{name}",
-                f"photograph and measure a chart in the light of {name}",
-                place.command("photograph", layer, *words),
-                [*light_files(layer), place.room / "truth" / "truth.usda"],
-                lambda doing, name=name, layer=layer: take_chart(  # type: ignore[misc]
-                    layer, name, place, shooting, options.chart, options.threads, progress, doing
-                ),
-                clears=[place.chart(name).parent],
-            )
-        told, words = ingest_options(place, shooting)
-        photographs = [path for path in sorted(place.room.glob("view*/*")) if path.is_file()]
+            self._photograph_chart(name, layer, shooting)
+        for name, layer in self._alone().items():
+            self._photograph_place(name, layer, shooting)
+
+    def _photograph_chart(self, name: str, layer: Path, shooting: Shooting) -> None:
+        place, options = self.place, self.options
+        words: list[Any] = ["-o", place.chart(name).parent, "--camera", options.camera]
+        words += ["--same-camera", place.room(), "--chart", options.chart, "--chart-only"]
+        words += ["--light-class", name, "--exposures", str(options.size.exposures)]
+        words += ["--stops", options.size.stops, "--stated-glare", "0"]
+        words += ["--vignetting-error", options.faults.vignetting]
+        words += ["--reading-error", options.scale_error]
+        words += ["--seed", str(chart_seed(options.seed, name))]
         self._step(
-            "ingest",
-            "describe the photographs as a shoot",
-            place.command("ingest", place.room, "-o", place.shoot, *words),
-            [*photographs, place["shoot/lens.usda"]],
-            lambda doing: ingest_photographs(place, told, progress, doing),
-        )
-        self._step(
-            "capture",
-            "merge the photographs to a panorama",
-            place.command(
-                "capture", place.shoot, "-o", place["capture.usda"], "--refine-rotations"
+            f"chart-{name}",
+            f"photograph and measure a chart in the light of {name}",
+            place.command("photograph", layer, *words),
+            [*light_files(layer), place.room() / "truth" / "truth.usda"],
+            lambda doing: take_chart(
+                layer, name, place, shooting, options.chart, options.threads, self.progress, doing
             ),
-            [place.shoot, place["shoot/lens.usda"], *photographs],
-            self._capture,
+            clears=[place.chart(name).parent],
         )
 
-    def _capture(self, doing: Doing) -> None:
+    def _photograph_place(self, name: str, light: Path, shooting: Shooting) -> None:
+        """Photograph and capture the place in the whole light, or in that of a class alone."""
+        place, options, progress = self.place, self.options, self.progress
+        room, shoot, capture = place.room(name), place.shoot(name), place.capture(name)
+        suffix, where = (f"-{name}", f" in the light of {name} alone") if name else ("", "")
+        words: list[Any] = ["-o", room, *shooting.options]
+        reads = light_files(light)
+        if name:
+            words += ["--same-camera", place.room(), "--seed"]
+            words.append(str(class_seed(options.seed, name)))
+            reads.append(place.room() / "truth" / "truth.usda")
+        else:
+            words += [*shooting.camera_options, "--seed", str(options.seed)]
+        self._step(
+            f"photograph{suffix}",
+            f"photograph the place{where}",
+            place.command("photograph", light, *words),
+            reads,
+            lambda doing: take_photographs(
+                light, name, place, shooting, options.threads, progress, doing
+            ),
+            clears=[room],
+        )
+        told, words = ingest_options(place, name, shooting)
+        photographs = [path for path in sorted(room.glob("view*/*")) if path.is_file()]
+        self._step(
+            f"ingest{suffix}",
+            f"describe the photographs{where} as a shoot",
+            place.command("ingest", room, "-o", shoot, *words),
+            [*photographs, place["shoot/lens.usda"]],
+            lambda doing: ingest_photographs(place, name, told, progress, doing),
+        )
+        self._step(
+            f"capture{suffix}",
+            f"merge the photographs{where} to a panorama",
+            place.command("capture", shoot, "-o", capture, "--refine-rotations"),
+            [shoot, place["shoot/lens.usda"], *photographs],
+            lambda doing: self._capture(shoot, capture, doing),
+        )
+
+    def _capture(self, shoot: Path, capture: Path, doing: Doing) -> None:
         given = CaptureOptions(
             refine_rotations=True, device=self.options.device, threads=self.options.threads
         )
-        result = capture_shoot(self.place.shoot, self.place["capture.usda"], given, self.progress)
+        capture.parent.mkdir(parents=True, exist_ok=True)
+        result = capture_shoot(shoot, capture, given, self.progress)
         doing.writes += result.paths
         doing.notes += result.notes
         doing.facts.update(result.report.as_dict())
@@ -172,13 +199,25 @@ class Chain(Steps):
             "",
             light_files(light),
             lambda doing: _ignore(
-                expose_exactly(
-                    light, place["capture.usda"], setup, options.threads, progress, doing
-                )
+                expose_exactly(light, place.capture(), setup, options.threads, progress, doing)
             ),
             settings,
         )
         constant = exposed.facts["sensorConstant"]
+        same = replace(setup, sensor_constant=constant)
+        for name, layer in self._alone().items():
+            self._step(
+                f"capture-{name}",
+                f"take the camera values of the true panorama in the light of {name} alone",
+                "",
+                light_files(layer),
+                lambda doing, name=name, layer=layer: _ignore(  # type: ignore[misc]
+                    expose_exactly(
+                        layer, place.capture(name), same, options.threads, progress, doing
+                    )
+                ),
+                {**settings, "constant": constant},
+            )
         for name, layer in self.truth.classes.items():
             self._step(
                 f"chart-{name}",
@@ -237,19 +276,27 @@ class Chain(Steps):
 
     def _estimate_light(self) -> None:
         place = self.place
-        capture, camera, output = place["capture.usda"], place["camera.usda"], place["light.usda"]
+        capture, camera, output = place.capture(), place["camera.usda"], place["light.usda"]
+        alone = tuple((name, place.capture(name)) for name in self._alone())
 
         def run(doing: Doing) -> None:
-            result = estimate_light(capture, camera, output, progress=self.progress)
+            given = LightOptions(class_captures=alone)
+            result = estimate_light(capture, camera, output, given, self.progress)
             doing.writes += result.paths
             doing.notes += result.notes
 
-        pictures = [place[name] for name in ("panorama.exr", "stddev.exr")]
+        words = ["--camera", camera, "-o", output]
+        for name, layer in alone:
+            words += ["--class-capture", f"{name}={place.name_of(layer)}"]
+        layers = [capture, *(layer for _, layer in alone)]
+        pictures = [
+            layer.with_name(name) for layer in layers for name in ("panorama.exr", "stddev.exr")
+        ]
         self._step(
             "light",
             "estimate the light",
-            place.command("estimate", "light", capture, "--camera", camera, "-o", output),
-            [capture, camera, *(picture for picture in pictures if picture.exists())],
+            place.command("estimate", "light", capture, *words),
+            [*layers, camera, *(picture for picture in pictures if picture.exists())],
             run,
         )
 

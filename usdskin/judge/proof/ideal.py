@@ -60,6 +60,7 @@ def expose_exactly(
     )
     progress.done()
     values = (seen[..., :3] * shooting.constant).astype(np.float32)
+    capture.parent.mkdir(parents=True, exist_ok=True)
     picture = capture.with_name("panorama.exr")
     channels = {name: values[..., index] for index, name in enumerate("RGB")}
     write_exr(picture, [Part("", channels, {}, "float", "unknown")])

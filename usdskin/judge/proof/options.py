@@ -83,6 +83,9 @@ class ProofOptions:
     scale_error: float = 0.0
     """Error that all readings of light share, relative [1]."""
 
+    class_captures: bool = False
+    """Whether the place is captured in the light of each class alone too, where there are some."""
+
     estimator: str = "regression"
     """Of the calibration; see ``usdskin.estimate.recovery.ESTIMATORS``."""
 
@@ -154,6 +157,7 @@ class ProofOptions:
         return {
             "capture": self.capture,
             "scaleError": self.scale_error,
+            "classCaptures": self.class_captures,
             "estimator": self.estimator,
             "integrators": list(self.integrators),
             "subject": self.subject,

@@ -29,15 +29,17 @@ class Place:
         """The true skin."""
         return self["truth/skin.usda"]
 
-    @property
-    def shoot(self) -> Path:
-        """The layer of the photographs."""
-        return self["shoot/shoot.usda"]
+    def room(self, light_class: str = "") -> Path:
+        """Return the folder of the photographs of the place, in the light of one class or all."""
+        return self[f"shoot/room{_of(light_class)}"]
 
-    @property
-    def room(self) -> Path:
-        """The folder of the photographs."""
-        return self["shoot/room"]
+    def shoot(self, light_class: str = "") -> Path:
+        """Return the layer of these photographs."""
+        return self[f"shoot/shoot{_of(light_class)}.usda"]
+
+    def capture(self, light_class: str = "") -> Path:
+        """Return the capture that is made of them."""
+        return self[f"captures/{light_class}/capture.usda" if light_class else "capture.usda"]
 
     def chart(self, light_class: str) -> Path:
         """Return the layer of a chart."""
@@ -70,3 +72,7 @@ class Place:
     def name_of(self, path: Path) -> str:
         """Return a path as it is named from the proof's folder."""
         return Path(os.path.relpath(path.resolve(), self.folder.resolve())).as_posix()
+
+
+def _of(light_class: str) -> str:
+    return f"_{light_class}" if light_class else ""

@@ -326,8 +326,8 @@ class _Street(Chain):
             "skin": "skin.usda",
             "truthSkin": place.name_of(place.truth_skin),
         }
-        if place.shoot.exists():
-            layers["shoot"] = place.name_of(place.shoot)
+        if place.shoot().exists():
+            layers["shoot"] = place.name_of(place.shoot())
         return {
             "set": place.name_of(self.shot.parent),
             "title": self.title,

@@ -46,8 +46,11 @@ class Shooting:
     setup: Setup
     """Camera, lens, views and faults."""
 
+    camera_options: tuple[str, ...]
+    """Camera and lens as options of `usdskin photograph`."""
+
     options: tuple[str, ...]
-    """The same as options of `usdskin photograph`."""
+    """The rest, the seed aside."""
 
 
 def shooting_of(options: ProofOptions, faults: Faults, light: Path | None = None) -> Shooting:
@@ -81,21 +84,18 @@ def shooting_of(options: ProofOptions, faults: Faults, light: Path | None = None
     )
     if light is not None:
         setup = replace(setup, middle=_metered(light, setup))
-    words: list[Any] = [
-        "--middle",
-        setup.middle,
-        "--camera",
-        options.camera,
-        "--size",
-        size.fisheye,
-    ]
-    words += ["--exposures", size.exposures, "--stops", size.stops]
-    words += ["--glare", faults.glare, "--stated-glare", 0.0]
+    camera: list[Any] = ["--middle", setup.middle, "--size", size.fisheye, "--glare", faults.glare]
+    words: list[Any] = ["--camera", options.camera]
+    words += ["--exposures", size.exposures, "--stops", size.stops, "--stated-glare", 0.0]
     words += ["--vignetting-error", faults.vignetting, "--reading-error", options.scale_error]
     words += ["--views", ",".join(f"{azimuth:.4f}:{up:.4f}" for azimuth, up in views)]
-    words += ["--truth-height", size.solve_height, "--seed", options.seed]
+    words += ["--truth-height", size.solve_height]
     words += [] if faults.noise else ["--no-noise"]
-    return Shooting(setup, tuple(f"{w:g}" if isinstance(w, float) else str(w) for w in words))
+    return Shooting(setup, _as_words(camera), _as_words(words))
+
+
+def _as_words(values: list[Any]) -> tuple[str, ...]:
+    return tuple(f"{value:g}" if isinstance(value, float) else str(value) for value in values)
 
 
 def _metered(light: Path, setup: Setup) -> float:
@@ -153,6 +153,7 @@ def write_stated_lens(lens: FisheyeLens, path: Path) -> Path:
 
 def take_photographs(
     light: Path,
+    light_class: str,
     place: Place,
     shooting: Shooting,
     threads: int | None,
@@ -163,16 +164,23 @@ def take_photographs(
 
     Args:
         light: The true light.
+        light_class: Its class, which shines alone; empty for the whole light. Photographs of a
+            class go on with the camera of the whole one's.
         place: Where to write.
         shooting: How.
         threads: CPU threads.
         progress: Told how far it is.
         doing: Takes files and notes.
     """
-    setup = shooting.setup
-    photograph(light, place.room, setup, threads=threads, progress=progress, notes=doing.notes)
-    write_stated_lens(setup.stated_lens, place["shoot/lens.usda"])
-    doing.writes += [*files_below(place.room), place["shoot/lens.usda"]]
+    setup, room = shooting.setup, place.room(light_class)
+    if light_class:
+        setup = with_camera_of(place.room(), setup)
+        setup = replace(setup, seed=class_seed(setup.seed, light_class))
+    photograph(light, room, setup, threads=threads, progress=progress, notes=doing.notes)
+    doing.writes += files_below(room)
+    if not light_class:
+        write_stated_lens(setup.stated_lens, place["shoot/lens.usda"])
+        doing.writes.append(place["shoot/lens.usda"])
 
 
 def take_chart(
@@ -197,7 +205,7 @@ def take_chart(
         progress: Told how far it is.
         doing: Takes files and notes.
     """
-    setup = with_camera_of(place.room, shooting.setup)
+    setup = with_camera_of(place.room(), shooting.setup)
     # A seed of its own, so that no two charts share their noise.
     setup = replace(setup, seed=chart_seed(setup.seed, light_class))
     output = place.chart(light_class).parent
@@ -218,14 +226,22 @@ def chart_seed(seed: int, light_class: str) -> int:
     return 1000 * seed + sum(light_class.encode()) % 997 + 1
 
 
-def ingest_options(place: Place, shooting: Shooting) -> tuple[IngestOptions, list[str]]:
+def class_seed(seed: int, light_class: str) -> int:
+    """Return the seed of the noise of photographs in the light of one class."""
+    return chart_seed(seed, light_class) + 10_000_000
+
+
+def ingest_options(
+    place: Place, light_class: str, shooting: Shooting
+) -> tuple[IngestOptions, list[str]]:
     """Return what the photographer tells `usdskin ingest`, and the same as its options.
 
     Args:
         place: Holds the photographs; their taker's notes are in ``room/shoot.usda``.
+        light_class: Class that shone alone; empty for the whole light.
         shooting: How they were taken.
     """
-    stated = read_shoot(open_stage(place.room / "shoot.usda"))
+    stated = read_shoot(open_stage(place.room(light_class) / "shoot.usda"))
     black, white = shooting.setup.development.levels
     facing = direction_of(stated.illuminance_direction)
     looking = direction_of(stated.luminance_direction)
@@ -257,18 +273,20 @@ def direction_of(vector: Any) -> Direction:
 
 
 def ingest_photographs(
-    place: Place, options: IngestOptions, progress: Progress, doing: Doing
+    place: Place, light_class: str, options: IngestOptions, progress: Progress, doing: Doing
 ) -> None:
     """Describe the photographs as a shoot, by what they and their taker tell.
 
     Args:
         place: Holds the photographs.
+        light_class: Class that shone alone; empty for the whole light.
         options: What the photographer tells.
         progress: Told how far it is.
         doing: Takes files and notes.
     """
-    ingest(place.room, place.shoot, options, notes=doing.notes, progress=progress)
-    doing.writes.append(place.shoot)
+    shoot = place.shoot(light_class)
+    ingest(place.room(light_class), shoot, options, notes=doing.notes, progress=progress)
+    doing.writes.append(shoot)
 
 
 def files_below(folder: Path) -> list[Path]:

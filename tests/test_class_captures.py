@@ -1,0 +1,177 @@
+"""Mixed light from captures of one place with one kind of lamps switched on at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_estimate_light import (
+    HEIGHT,
+    NM,
+    SCALE,
+    SETTINGS,
+    WIDTH,
+    lamp,
+    make_place,
+    recovered,
+    relative,
+    responsivity,
+    surfaces,
+)
+
+from usdskin import cli
+from usdskin.colorimetry import xyz_weights
+from usdskin.errors import ImageError, LayerError, UsageError
+from usdskin.estimate.light.step import LightOptions, estimate_light
+from usdskin.images import Part, read_image, write_exr
+from usdskin.prims.writing import write_schema
+
+from pxr import Usd, UsdGeom  # isort: skip
+
+LAMPS = ("FL2", "D65", "A")
+
+
+@dataclass
+class Switchable:
+    """A place whose lamps were captured together and one by one."""
+
+    folder: Path
+    camera: Path
+    parts: np.ndarray
+    """Radiance of each lamp's light, shape [lamps, height, width, 61]."""
+
+    def captures(self, *names: str) -> tuple[tuple[str, Path], ...]:
+        return tuple((name, self.folder / f"{name}.usda") for name in names)
+
+    def light(self, *names: str) -> Path:
+        output = self.folder / "light.usda"
+        options = LightOptions(class_captures=self.captures(*names))
+        self.result = estimate_light(self.folder / "all.usda", self.camera, output, options)
+        return output
+
+
+def write_capture(folder: Path, name: str, radiance: np.ndarray, scale: float, **more) -> None:
+    """Write a capture of a radiance, its pixels ``scale`` times the camera values."""
+    pixels = (scale * (radiance @ responsivity())).astype(np.float32)
+    write_exr(folder / f"{name}.exr", [Part("", {"": pixels}, color_space="unknown")])
+    stage = Usd.Stage.CreateNew(str(folder / f"{name}.usda"))
+    UsdGeom.SetStageUpAxis(stage, more.pop("up_axis", "Y"))
+    prim = UsdGeom.Xform.Define(stage, "/Capture").GetPrim()
+    stage.SetDefaultPrim(prim)
+    values = {
+        "capture:panorama:file": folder / f"{name}.exr",
+        "capture:scale": scale,
+        "capture:settings:model": SETTINGS["model"],
+        "capture:settings:lens": SETTINGS["lens"],
+        "capture:settings:whiteBalance": SETTINGS["white_balance"],
+    }
+    write_schema(prim, "CaptureAPI", values | more, folder)
+    stage.Save()
+
+
+def switchable(folder: Path, count: int = 2) -> Switchable:
+    """Write a place where every texel holds light of every lamp, of another surface each."""
+    camera = make_place(folder, LAMPS[:count]).camera
+    rng = np.random.default_rng(11)
+    colors = rng.uniform(0.0, 1.0, (count, HEIGHT, WIDTH, 3))
+    colors[:, 0] = 0.0  # dark
+    colors[0, 1] = 0.0  # without the first
+    parts = np.stack([(color @ surfaces()) * lamp(name)
+                      for color, name in zip(colors, LAMPS, strict=False)])  # fmt: skip
+    write_capture(folder, "all", parts.sum(axis=0), SCALE)
+    for index, part in enumerate(parts):
+        write_capture(folder, f"lamp{index}", part, SCALE * (1.5 + index))
+    return Switchable(folder, camera, parts)
+
+
+@pytest.mark.parametrize("captured", [("lamp0", "lamp1"), ("lamp1",), ("lamp0",)])
+def test_the_light_of_every_lamp_comes_back_whatever_the_surfaces(tmp_path, captured):
+    """No class map could: surfaces differ from lamp to lamp, in every texel."""
+    place = switchable(tmp_path)
+    spectra, _ = recovered(place.light(*captured))
+    assert relative(spectra, place.parts.sum(axis=0)) < 1e-5
+
+
+def test_three_kinds_of_lamps_take_two_captures(tmp_path):
+    place = switchable(tmp_path, 3)
+    spectra, _ = recovered(place.light("lamp2", "lamp0"))
+    assert relative(spectra, place.parts.sum(axis=0)) < 1e-5
+
+
+def test_the_map_and_the_report_tell_the_shares_of_the_lamps(tmp_path):
+    place = switchable(tmp_path)
+    place.light("lamp0", "lamp1")
+    weights = read_image(tmp_path / "light.classes.exr").pixels[..., :2]
+    luminance = place.parts @ xyz_weights(NM)[:, 1]
+    lit = slice(2, None)  # the eye is only nearly a sum of the channels
+    shares = luminance[0, lit] / luminance[:, lit].sum(axis=0)
+    np.testing.assert_allclose(weights[lit, :, 0], shares, atol=0.03)
+    assert (weights[1, :, 0] < 1e-3).all()
+    shares = [item.flux_share for item in place.result.report.classes]
+    assert sum(shares) == pytest.approx(1.0)
+
+
+def test_drift_between_captures_leaves_the_whole_as_it_was_captured(tmp_path):
+    """Lamps that are 10 % brighter alone change the shares a little, the camera values not."""
+    place = switchable(tmp_path)
+    first, _ = recovered(place.light("lamp0", "lamp1"))
+    (tmp_path / "lamp1.usda").unlink()
+    write_capture(tmp_path, "lamp1", 1.1 * place.parts[1], SCALE)
+    again, _ = recovered(place.light("lamp0", "lamp1"))
+    np.testing.assert_allclose(
+        again @ responsivity(), first @ responsivity(), rtol=1e-4, atol=1e-6 * first.max()
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "error", "message"),
+    [
+        (("tubes",), UsageError, "--class-capture tubes: .*it has lamp0, lamp1, lamp2"),
+        (("lamp0",), UsageError, "lamp1, lamp2 have none"),
+        (("lamp0", "lamp0", "lamp1"), UsageError, "lamp0: given twice"),
+    ],
+)
+def test_captures_that_do_not_say_enough_are_refused(tmp_path, names, error, message):
+    place = switchable(tmp_path, 3)
+    write_capture(tmp_path, "tubes", place.parts[0], SCALE)
+    with pytest.raises(error, match=message):
+        place.light(*names)
+    assert not (tmp_path / "light.usda").exists()
+
+
+def test_captures_of_another_size_or_frame_or_camera_are_refused(tmp_path):
+    place = switchable(tmp_path)
+    for file in tmp_path.glob("lamp0.*"):
+        file.unlink()
+    write_capture(tmp_path, "lamp0", place.parts[0][: HEIGHT // 2, : WIDTH // 2], SCALE)
+    with pytest.raises(ImageError, match=r"24 x 12 pixels, but .*all.exr has 48 x 24; capture lamp0"):
+        place.light("lamp0", "lamp1")
+    write_capture(tmp_path, "other", place.parts[0], SCALE, up_axis="Z")
+    options = LightOptions(class_captures=(("lamp0", tmp_path / "other.usda"),))
+    with pytest.raises(LayerError, match="its up axis is Z"):
+        estimate_light(tmp_path / "all.usda", place.camera, tmp_path / "l.usda", options)
+    settings = {"capture:settings:model": "Another"}
+    write_capture(tmp_path, "foreign", place.parts[0], SCALE, **settings)
+    options = LightOptions(class_captures=(("lamp0", tmp_path / "foreign.usda"),))
+    with pytest.raises(LayerError, match="model of the camera is 'Another'|is 'Another'|Another"):
+        estimate_light(tmp_path / "all.usda", place.camera, tmp_path / "l.usda", options)
+
+
+def test_a_class_or_a_map_and_captures_exclude_each_other(tmp_path):
+    place = switchable(tmp_path)
+    for other in ({"light_class": "lamp0"}, {"class_map": tmp_path / "map.exr"}):
+        options = LightOptions(class_captures=place.captures("lamp0"), **other)
+        with pytest.raises(UsageError, match="--class-capture exclude each other"):
+            estimate_light(tmp_path / "all.usda", place.camera, tmp_path / "l.usda", options)
+
+
+def test_the_command_takes_captures_by_name(tmp_path, monkeypatch, capsys):
+    place = switchable(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    given = ["estimate", "light", "all.usda", "--camera", place.camera.name, "-o", "light.usda"]
+    assert cli.main(["-q", *given, "--class-capture", "lamp1=lamp1.usda"]) == 0
+    assert relative(recovered(tmp_path / "light.usda")[0], place.parts.sum(axis=0)) < 1e-5
+    assert cli.main(["-q", *given, "--class-capture", "lamp1.usda"]) == 2
+    assert "is not NAME=CAPTURE.usda" in capsys.readouterr().err
