@@ -105,9 +105,9 @@ def test_the_map_and_the_report_tell_the_shares_of_the_lamps(tmp_path):
     place.light("lamp0", "lamp1")
     weights = read_image(tmp_path / "light.classes.exr").pixels[..., :2]
     luminance = place.parts @ xyz_weights(NM)[:, 1]
-    lit = slice(2, None)  # the eye is only nearly a sum of the channels
+    lit = slice(1, None)
     shares = luminance[0, lit] / luminance[:, lit].sum(axis=0)
-    np.testing.assert_allclose(weights[lit, :, 0], shares, atol=0.03)
+    np.testing.assert_allclose(weights[lit, :, 0], shares, atol=1e-3)
     assert (weights[1, :, 0] < 1e-3).all()
     shares = [item.flux_share for item in place.result.report.classes]
     assert sum(shares) == pytest.approx(1.0)
@@ -146,7 +146,9 @@ def test_captures_of_another_size_or_frame_or_camera_are_refused(tmp_path):
     for file in tmp_path.glob("lamp0.*"):
         file.unlink()
     write_capture(tmp_path, "lamp0", place.parts[0][: HEIGHT // 2, : WIDTH // 2], SCALE)
-    with pytest.raises(ImageError, match=r"24 x 12 pixels, but .*all.exr has 48 x 24; capture lamp0"):
+    with pytest.raises(
+        ImageError, match=r"24 x 12 pixels, but .*all.exr has 48 x 24; capture lamp0"
+    ):
         place.light("lamp0", "lamp1")
     write_capture(tmp_path, "other", place.parts[0], SCALE, up_axis="Z")
     options = LightOptions(class_captures=(("lamp0", tmp_path / "other.usda"),))
@@ -155,7 +157,7 @@ def test_captures_of_another_size_or_frame_or_camera_are_refused(tmp_path):
     settings = {"capture:settings:model": "Another"}
     write_capture(tmp_path, "foreign", place.parts[0], SCALE, **settings)
     options = LightOptions(class_captures=(("lamp0", tmp_path / "foreign.usda"),))
-    with pytest.raises(LayerError, match="model of the camera is 'Another'|is 'Another'|Another"):
+    with pytest.raises(LayerError, match="Another"):
         estimate_light(tmp_path / "all.usda", place.camera, tmp_path / "l.usda", options)
 
 

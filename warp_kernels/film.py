@@ -33,7 +33,7 @@ from usdskin.warp_kernels.view import (
 )
 from usdskin.warp_kernels.visibility import surface_opacity
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})  # a third less to compile, and faster
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 TAKEN = wp.constant(-3)
 """Of a sample's triangle: shaded already, with another sample."""

@@ -116,7 +116,8 @@ def light(
     \b
     Examples:
         usdskin estimate light capture.usda --camera camera.usda -o light.usda
-        usdskin estimate light all.usda --camera camera.usda --class-capture tubes=tubes.usda -o light.usda
+        usdskin estimate light all.usda --camera camera.usda -o light.usda \
+            --class-capture tubes=tubes.usda --class-capture window=window.usda
         usdskin estimate light studio.hdr --illuminant FL2 -o light.usda
     """
     with Reporter(options) as reporter:

@@ -83,10 +83,8 @@ def find_mixture(
         return Mixture(camera.recoveries, None, "only")
     names = tuple(recovery.light_class for recovery in camera.recoveries)
     if class_captures:
-        from usdskin.estimate.classes import read_lamps
-
         switched = switched_captures(capture, class_captures, camera)
-        weights = luminance_shares(switched, read_lamps(camera).luminance_weights)
+        weights = luminance_shares(switched, camera)
         return Mixture(camera.recoveries, weights, "captures", switched)
     height, width = panorama_size(capture)
     if class_map is not None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from usdskin.colorimetry import xyz_weights
 from usdskin.errors import ImageError, LayerError, UsageError
 from usdskin.estimate.light.pictures import panorama_rows, panorama_size
 from usdskin.prims import CapturedPanorama, SpectralCamera
@@ -100,20 +101,26 @@ def switched_captures(
     return Switched(whole, tuple(alone.get(name) for name in names))
 
 
-def luminance_shares(switched: Switched, luminance: NDArray[np.float64]) -> FloatImage:
+def luminance_shares(switched: Switched, camera: SpectralCamera) -> FloatImage:
     """Return the share of each class in the luminance of every texel.
 
     Args:
         switched: The captures.
-        luminance: Weights of the camera's channels, shape [3].
+        camera: The calibration, whose recoveries say what camera values mean to the eye.
 
     Returns:
         Shares that add up to 1, shape [height, width, classes].
     """
+    luminosity = xyz_weights(camera.wavelength_nm)[:, 1]
+    eye = np.stack([luminosity @ recovery.matrix for recovery in camera.recoveries])
     height, width = panorama_size(switched.whole)
-    weights = np.empty((height, width, len(switched.alone)), np.float32)
+    weights = np.empty((height, width, len(eye)), np.float32)
     whole = panorama_rows(switched.whole, height, width)
     for (begin, shares), (_, block) in zip(switched.blocks(), whole, strict=True):
-        values = np.maximum(block, 1e-30)[:, :, None, :] * shares @ luminance.astype(np.float32)
-        weights[begin : begin + len(block)] = values / values.sum(axis=2, keepdims=True)
+        values = np.einsum("ijc,ijkc,kc->ijk", block, shares, eye.astype(np.float32))
+        values = np.maximum(values, 0.0)
+        total = values.sum(axis=2, keepdims=True)
+        lit = total > 0.0
+        even = np.float32(1.0 / len(eye))
+        weights[begin : begin + len(block)] = np.where(lit, values / np.where(lit, total, 1), even)
     return weights

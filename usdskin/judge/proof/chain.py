@@ -285,7 +285,7 @@ class Chain(Steps):
             doing.writes += result.paths
             doing.notes += result.notes
 
-        words = ["--camera", camera, "-o", output]
+        words: list[Any] = ["--camera", camera, "-o", output]
         for name, layer in alone:
             words += ["--class-capture", f"{name}={place.name_of(layer)}"]
         layers = [capture, *(layer for _, layer in alone)]
