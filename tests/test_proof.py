@@ -99,6 +99,29 @@ def test_an_outside_formula_finds_the_same_difference(proved):
     )
 
 
+def test_captures_of_single_classes_take_the_place_of_a_class_map(tmp_path, monkeypatch):
+    """Each by the command that stands in the proof, with the camera of the whole shoot."""
+    light = write_set(tmp_path / "set")
+    options = ProofOptions(
+        size=size_of("tiny"), integrators=("map",), light=light, class_captures=True
+    )
+    proof = json.loads(prove(tmp_path / "set", tmp_path / "out", options).path.read_text())
+    steps = steps_of(proof)
+    found = {row["name"]: row["result"]["deltaE2000"]["mean"] for row in proof["comparisons"]}
+    assert 0.0 < found["light"] < 1.5
+    for name in ("tubes", "window"):
+        assert f"--class-capture {name}=captures/{name}/capture.usda" in steps["light"]["command"]
+    monkeypatch.chdir(tmp_path / "out")
+    words = shlex.split(steps["photograph-window"]["command"])[1:]
+    words[words.index("-o") + 1] = "again"
+    assert main(["-q", *words]) == 0
+    pictures = [path for path in sorted(Path("again").glob("view*/*")) if path.suffix == ".tif"]
+    assert len(pictures) == 4 * options.size.exposures
+    for picture in pictures:
+        kept = Path("shoot/room_window") / picture.relative_to("again")
+        assert picture.read_bytes() == kept.read_bytes()
+
+
 def test_no_estimator_reads_the_truth(proved):
     _, proof = proved
     steps = steps_of(proof)
