@@ -21,6 +21,7 @@ from traced_scenes import (
     sheet,
     soft_room,
     sphere,
+    torus,
 )
 
 from usdskin.device import Workers
@@ -436,6 +437,28 @@ def test_what_blocks_learn_makes_no_bias_and_less_noise(tmp_path, monkeypatch):
             noise[weight] = found.std()
         monkeypatch.undo()
         assert noise[passes.LEARNING_WEIGHT] < 0.7 * noise[1.0]
+
+
+@pytest.mark.parametrize("light", [soft_room(16), lamp_room(32)], ids=["soft", "lamp"])
+def test_what_blocks_learn_makes_no_bias_of_light_that_comes_through(tmp_path, monkeypatch, light):
+    """A ring lets red through and stops blue; most of what it shows of lamps behind is dimmed."""
+    points, faces, normals = torus(24, 12)
+    ring = Body(
+        points=points + OFF, faces=faces, normals=normals, wrap=0.3, scattering=0.6,
+        delta=(8.0, 4.0, 2.0, 1.0, 0.5),
+    )  # fmt: skip
+    view = view_of(tmp_path, [ring], light, 16, 2.6)
+    found = []
+    for weight in (passes.LEARNING_WEIGHT, 1.0):
+        monkeypatch.setattr(passes, "LEARNING_WEIGHT", weight)
+        found.append(np.stack([view.spectra(64, seed) for seed in range(32)]))
+    learned, plain = (draws.mean(axis=0) for draws in found)
+    lit = plain.mean(axis=-1) > 0.05 * plain.max()
+    assert lit.mean() > 0.3
+    error = np.hypot(*(draws.std(axis=0, ddof=1) for draws in found)) / np.sqrt(32.0)
+    sigmas = (learned - plain)[lit] / np.hypot(error[lit], 1e-4 * plain.max())
+    assert np.sqrt((sigmas**2).mean()) < 1.2
+    np.testing.assert_allclose(learned[lit].sum(axis=0), plain[lit].sum(axis=0), rtol=1e-3)
 
 
 @pytest.mark.parametrize(
