@@ -34,16 +34,15 @@ class Child:
 
 
 def run(command: list[str], **environment: str) -> Child:
-    """Run a command to its end.
+    """Run a command to its end, with bytecode kept as an installed program has it.
 
     Raises:
         RuntimeError: It fails; the message holds the end of what it said.
     """
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         begun = time.perf_counter()
-        child = subprocess.Popen(
-            command, stdout=out, stderr=err, cwd=ROOT, env={**os.environ, **environment}
-        )
+        given = {**os.environ, "PYTHONDONTWRITEBYTECODE": "", **environment}
+        child = subprocess.Popen(command, stdout=out, stderr=err, cwd=ROOT, env=given)
         _, status, usage = os.wait4(child.pid, 0)
         wall = time.perf_counter() - begun
         child.returncode = os.waitstatus_to_exitcode(status)

@@ -63,6 +63,44 @@ def overrides_of(step, *arguments):
     return step.calls[-1][2]
 
 
+# Ending
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"), [(["--version"], 0), (["render", "none.usda"], 3), (["no"], 2)]
+)
+def test_a_process_ends_with_the_code_of_its_command(arguments, code):
+    """The whole of what it says arrives, though nothing is freed at its end."""
+    told = subprocess.run(
+        [sys.executable, "-m", "usdskin", *arguments], capture_output=True, text=True, check=False
+    )
+    assert told.returncode == code
+    assert (told.stdout if code == 0 else told.stderr).startswith("usdskin")
+
+
+def test_others_are_told_of_the_end_of_a_process(tmp_path):
+    script = (
+        "import atexit, pathlib, sys; from usdskin import cli; "
+        "sys.argv = ['usdskin', '--version']; "
+        "old = cli.main; "
+        "cli.main = lambda: [old(), atexit.register(pathlib.Path('told').touch)][0]; "
+        "cli.run()"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, cwd=tmp_path)
+    assert (tmp_path / "told").exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_no_room_for_what_is_printed_is_one_line():
+    with open("/dev/full", "w") as full:
+        told = subprocess.run(
+            [sys.executable, "-m", "usdskin", "--help"],
+            stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+    assert told.returncode == 3
+    assert told.stderr == "usdskin: error: No space left on device; free some space.\n"
+
+
 # Starting
 
 

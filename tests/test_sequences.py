@@ -19,6 +19,7 @@ from usdskin.render import render as rendering
 from usdskin.render.frame_writer import OVERLAP_BYTES, FrameWriter
 from usdskin.render.overrides import RenderOverrides
 from usdskin.render.render import render_stage
+from usdskin.warp_kernels import raster
 
 # isort: split
 # After ours, which register the schemas.
@@ -212,6 +213,42 @@ def test_a_traced_turntable_of_a_dome_alone_builds_its_tree_once(calls, sky, tmp
 def test_what_changes_is_read_again_and_no_more(moving, again, calls, sky, tmp_path):
     render(write_stage(sky, tmp_path, moving), "o", FRAMES, samples=1)
     assert calls == ONCE | again
+
+
+@pytest.fixture
+def found_faces(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The number of pixels of each band whose first triangles were found."""
+    bands = []
+    find = raster.rasterize_band
+
+    def noting(*args, **kwargs):
+        bands.append(args[3] * args[5])
+        return find(*args, **kwargs)
+
+    monkeypatch.setattr(raster, "rasterize_band", noting)
+    return bands
+
+
+@pytest.mark.parametrize(
+    ("moving", "times"), [("rig", 2), ("sky", 2), ("orbit", 3), ("camera", 3), ("body", 3)]
+)
+def test_what_a_camera_that_stands_sees_is_found_no_third_time(
+    moving, times, found_faces, sky, tmp_path
+):
+    render(write_stage(sky, tmp_path, moving), "o", FRAMES, samples=1)
+    assert found_faces == [16 * 16] * times
+
+
+def test_a_camera_that_stands_and_goes_on_sees_what_is_there(found_faces, sky, tmp_path):
+    stage = write_stage(sky, tmp_path, "rig", "camera")
+    steps = "{1: 50, 2: 50, 3: 50, 4: 70, 5: 70, 6: 70, 7: 50}"
+    stage.write_text(stage.read_text().replace("{1: 50, 3: 70}", steps))
+    frames = tuple(float(number) for number in range(1, 8))
+    together = render(stage, "together", frames, samples=4)
+    assert len(found_faces) == 5  # of seven
+    for number, found in zip(frames, together, strict=True):
+        (alone,) = render(stage, "alone", (number,), samples=4)
+        np.testing.assert_array_equal(found, alone, err_msg=f"frame {number:g}")
 
 
 def test_a_frame_that_fails_leaves_nothing_to_the_next(sky, tmp_path):

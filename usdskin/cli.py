@@ -6,14 +6,16 @@ sees to it, and ``usdskin --help`` answers at once.
 
 from __future__ import annotations
 
+import atexit
 import errno
+import gc
 import os
 import signal
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from typing import Any
+from contextlib import contextmanager, suppress
+from typing import Any, NoReturn
 
 import click
 
@@ -55,6 +57,12 @@ _ENVIRONMENT_ERRORS = {
     errno.ENAMETOOLONG,
 }
 """What a user can mend outside the program; any other OSError is a bug of ours."""
+
+
+_FULL = {errno.ENOSPC, errno.EDQUOT}
+
+_ALLOCATIONS = 10_000
+"""Objects between two searches for cycles: imports make 300 000 that stay."""
 
 
 class _TerminatedError(BaseException):
@@ -113,6 +121,27 @@ for _command in (
     cli.add_command(_command)
 
 
+def run() -> NoReturn:
+    """Run the command line and end the process with its exit code.
+
+    What asked to be told of the end is told, but memory goes with the process: to free the objects
+    of Warp and pxr one by one takes a third of a second.
+    """
+    code: list[int] = []
+
+    def end() -> None:
+        if code:
+            with suppress(OSError):  # the interpreter says what is wrong with an output
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(code[0])
+
+    atexit.register(end)  # the first registered is the last called
+    gc.set_threshold(_ALLOCATIONS)
+    code.append(main())
+    sys.exit(code[0])
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code (see ``usdskin.errors``).
 
@@ -142,6 +171,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_BROKEN_PIPE
     except OSError as error:
+        if error.errno in _FULL and error.filename is None:  # as of standard output
+            return _fail(as_json, "OSError", f"{error.strerror}; free some space.", EXIT_INPUT)
         if error.errno not in _ENVIRONMENT_ERRORS or error.filename is None:
             return _crash(as_json, error)
         return _fail(as_json, "OSError", f"{error.filename}: {error.strerror}.", EXIT_INPUT)

@@ -82,6 +82,11 @@ def kernel_modules() -> tuple[ModuleType, ...]:
     return _costliest_first(m for m in modules if wp.get_module(m.__name__).kernels)
 
 
+def kernel_module(name: str) -> ModuleType:
+    """Return a module of the package, imported only now: Warp parses each function as it is."""
+    return importlib.import_module(f"{PACKAGE}.{name}")
+
+
 def is_compiled(module: ModuleType, device: str) -> bool:
     """Return whether the cache has a module for a device; False where Warp does not tell."""
     target = wp.get_device(device)

@@ -63,6 +63,12 @@ class Camera:
     pixel_aspect_ratio: float
     """Width over height of a pixel, as the picture's header must say it [1]."""
 
+    def rays(self) -> tuple[object, ...]:
+        """Return what its rays depend on: cameras of equal ones see the same."""
+        lens = self.lens_radius, self.focus_distance
+        clip = self.clip_near, self.clip_far
+        return self.to_world.tobytes(), self.orthographic, self.window, clip, lens
+
 
 def find_camera(
     stage: Usd.Stage, requested: str | Sdf.Path | None = None, settings: Usd.Prim | None = None

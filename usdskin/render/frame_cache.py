@@ -6,7 +6,7 @@ frame. Parts are told apart by identity: what was not read again is the same obj
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,9 @@ from pxr import Usd
 if TYPE_CHECKING:
     from usdskin.render.light_links import LinkTables
     from usdskin.render.scene import Scene
+
+MOST_FACES = 1 << 25
+"""Samples of a picture whose first triangles are kept: 128 MiB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +58,9 @@ class FrameCache:
     _surfaces: Surfaces | None = None
     _surfaces_for: Any = None
     _of_lights: dict[str, tuple[Lights, Any]] = field(default_factory=dict)
+    _first_faces: dict[Hashable, tuple[tuple[object, ...], dict[int, Any]]] = field(
+        default_factory=dict
+    )
 
     # --- Reading ---------------------------------------------------------------------------------
 
@@ -160,6 +166,27 @@ class FrameCache:
         if not self.changes.lights:
             self._of_lights[name] = (scene.lights, found)
         return found
+
+    def first_faces(
+        self, scene: Scene, picture: Hashable, view: tuple[object, ...], samples: int
+    ) -> dict[int, Any] | None:
+        """Return what keeps the first triangles of a picture's samples, by tile.
+
+        None where the frame before saw the scene otherwise, and of pictures too large.
+
+        Args:
+            scene: The scene.
+            picture: Tells the pictures of a frame apart.
+            view: All that they depend on but the scene.
+            samples: How many there are.
+        """
+        if not self._is_shaped(scene) or samples > MOST_FACES:
+            return None
+        before, kept = self._first_faces.get(picture, (None, {}))
+        if before == view:
+            return kept
+        self._first_faces[picture] = view, {}
+        return None
 
     # --- Keeping ---------------------------------------------------------------------------------
 

@@ -25,16 +25,7 @@ from usdskin.render.film import sample_offsets
 from usdskin.render.memory import pixel_zeros
 from usdskin.render.projection import project
 from usdskin.render.surfaces import band_groups
-from usdskin.warp_kernels import (
-    data,
-    film,
-    first_faces,
-    matte,
-    raster,
-    reflectance_map,
-    structs,
-    trace,
-)
+from usdskin.warp_kernels import film, first_faces, raster, structs
 
 TILE_PIXELS = 16384
 """Pixels of one launch on the CPU."""
@@ -133,16 +124,17 @@ def picture_kernels(device: str, sources: Collection[str], traced: bool) -> tupl
         sources: The data parts written beside the beauty.
         traced: Whether light is traced.
     """
-    faces = [raster] if device == "cpu" else [] if traced else [first_faces]
+    faces = ["raster"] if device == "cpu" else [] if traced else ["first_faces"]
     mattes = [source for source in sources if source.startswith("crypto")]
     sources = [source for source in sources if source not in TRACED_SOURCES]
-    return (
-        trace if traced else film,
+    names = (
+        "trace" if traced else "film",
         *faces,
-        reflectance_map,
-        *([matte] if mattes else []),
-        *([data] if len(sources) > len(mattes) else []),
+        "reflectance_map",
+        *(["matte"] if mattes else []),
+        *(["data"] if len(sources) > len(mattes) else []),
     )
+    return tuple(compilation.kernel_module(name) for name in names)
 
 
 def device_camera(camera: Camera, resolution: tuple[int, int]) -> structs.CameraRays:
@@ -173,6 +165,7 @@ def integrate(
     show_dome: bool,
     checkpoint: Checkpoint | None = None,
     share: Share = WHOLE,
+    faces: dict[int, wp.array] | None = None,
 ) -> Picture:
     """Render a picture.
 
@@ -188,6 +181,9 @@ def integrate(
         show_dome: Whether the domes are seen behind the surfaces.
         checkpoint: Keeps what is finished; None keeps nothing.
         share: Which of the samples to take.
+        faces: First triangle of every sample, by a tile's first pixel, of a picture of the same
+            geometry from the same camera: taken where they are there, else put there. None keeps
+            nothing.
     """
     width, height = resolution
     count = width * height
@@ -203,12 +199,21 @@ def integrate(
     chunk = TILE_PIXELS if on_host else min(GPU_TILE_PIXELS, GPU_TILE_SAMPLES // len(chosen))
     rows = min(max(1, chunk // width), height)
     projection = None
+    found: dict[int, wp.array] = {}
     is_sharp = camera.lens_radius <= 0.0
-    if on_host and is_sharp:
+    if on_host and is_sharp and not faces:
         compilation.load(raster, device)
         reach = float(np.abs(offsets.numpy()).max())
         projection = project(
             scene.faces.points, scene.faces.triangles, camera, resolution, rows, reach, device
+        )
+
+    def first_faces_of(begin: int, end: int) -> wp.array:
+        if projection is None:
+            return first_faces.find_first_faces(scene.geometry, rays, offsets, begin, end - begin)
+        first = begin // width
+        return raster.rasterize_band(
+            projection, offsets, first // rows, width, first, (end - begin) // width
         )
 
     def work(begin: int, end: int) -> None:
@@ -220,15 +225,11 @@ def integrate(
         tile.first_pixel = begin
         if not is_sharp:
             tile.face = wp.empty((0, 0), dtype=wp.int32, device=device)
-        elif projection is None:
-            tile.face = first_faces.find_first_faces(
-                scene.geometry, rays, offsets, begin, end - begin
-            )
+        elif faces is None:
+            tile.face = first_faces_of(begin, end)
         else:
-            first = begin // width
-            tile.face = raster.rasterize_band(
-                projection, offsets, first // rows, width, first, (end - begin) // width
-            )
+            found[begin] = faces[begin] if begin in faces else first_faces_of(begin, end)
+            tile.face = wp.clone(found[begin])  # the kernel marks what it has drawn
         tile.show_dome = int(show_dome)
         tile.channel = wp.zeros((end - begin, scene.max_rows), dtype=wp.vec4f, device=device)
         if on_host:  # the kernel writes into the picture itself
@@ -251,60 +252,9 @@ def integrate(
     with keeping(checkpoint, {"xyza": xyza, "spectrum": spectrum}) as tiles:
         workers.run(count, rows * width, work, progress.advance)
     progress.done()
+    if faces is not None and len(found) == -(-height // rows):  # of tiles restored, none are known
+        faces.update(found)
     return Picture(
         xyza.reshape(height, width, 4),
         spectrum.reshape(height, width, -1)[:, :, :bands] if spectral else None,
     )
-
-
-def collect_data(
-    scene: DeviceScene,
-    camera: Camera,
-    resolution: tuple[int, int],
-    workers: Workers,
-    *,
-    irradiance: bool = False,
-) -> dict[str, NDArray[np.float32]]:
-    """Return what the middle of every pixel sees.
-
-    Returns:
-        ``normal`` [h, w, 3], ``position`` [m] [h, w, 3], ``depth`` [m] [h, w], ``base`` [h, w, 4],
-        ``st`` [h, w, 2], ``face`` [h, w], the triangle or -1, and where wanted ``irradiance``
-        [h, w, 3], its XYZ.
-    """
-    width, height = resolution
-    count = width * height
-    device = workers.device
-    compilation.load(data, device)
-    rays = device_camera(camera, resolution)
-    found: dict[str, NDArray[Any]] = {
-        "normal": np.zeros((count, 3), np.float32),
-        "position": np.zeros((count, 4), np.float32),
-        "base": np.zeros((count, 4), np.float32),
-        "st": np.zeros((count, 2), np.float32),
-        "face": np.zeros(count, np.int32),
-    }
-    types = {"normal": wp.vec3f, "position": wp.vec4f, "base": wp.vec4f, "st": wp.vec2f,
-             "face": wp.int32}  # fmt: skip
-    if irradiance:
-        found["irradiance"] = np.zeros((count, 3), np.float32)
-        types["irradiance"] = wp.vec3f
-
-    def work(begin: int, end: int) -> None:
-        tile = data.DataTile()
-        tile.first_pixel = begin
-        tile.st_primvar = scene.st_primvar
-        for name, dtype in types.items():
-            setattr(tile, name, wp.zeros(end - begin, dtype=dtype, device=device))
-        if not irradiance:
-            tile.irradiance = wp.zeros(0, dtype=wp.vec3f, device=device)
-        data.render_data(scene.geometry, rays, scene.lights, scene.materials, tile)
-        for name, values in found.items():
-            values[begin:end] = getattr(tile, name).numpy()
-
-    workers.run(count, TILE_PIXELS if device == "cpu" else count, work)
-    position = found.pop("position")
-    found["position"], found["depth"] = position[:, :3], position[:, 3]
-    return {
-        name: values.reshape(height, width, *values.shape[1:]) for name, values in found.items()
-    }

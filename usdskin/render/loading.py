@@ -6,9 +6,10 @@ Reads: the stage. Makes: ``Loaded``, from one moment to the next with all that c
 
 from __future__ import annotations
 
+import math
 import time as clock
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +17,15 @@ from numpy.typing import NDArray
 from usdskin import compilation
 from usdskin.device import Workers
 from usdskin.errors import UsageError
+from usdskin.render.cameras import Camera
 from usdskin.render.frame_cache import FrameCache
-from usdskin.render.integrate import DeviceScene
+from usdskin.render.integrate import DeviceScene, Share
 from usdskin.render.light_maps import LightField
 from usdskin.render.lights import Lights
 from usdskin.render.meshes import MeshArrays
+from usdskin.render.products import Product
 from usdskin.render.scene import Scene, read_scene, scene_white
 from usdskin.render.settings import RenderReport, RenderSettings
-from usdskin.render.traced_lights import TracedLights, trace_lights, turn_traced_lights
 from usdskin.render.transfer import read_transfers
 from usdskin.render.transfer_light import DeviceTransfers, shade_transfers, upload_transfers
 from usdskin.render.uploading import upload
@@ -31,6 +33,9 @@ from usdskin.render.uploading import upload
 # isort: split
 # After ours, which register the schemas.
 from pxr import Usd
+
+if TYPE_CHECKING:
+    from usdskin.render.traced_lights import TracedLights
 
 _SHADOW_FIELDS = (
     "transfer_vertex", "transfer", "seen_row", "seen_hidden", "seen_ring", "seen_order", "seen_axes"
@@ -99,6 +104,8 @@ class Loader:
         white = cache.of_lights("white", scene, lambda: scene_white(scene))
         rays = None
         if traced:
+            from usdskin.render.traced_lights import trace_lights, turn_traced_lights
+
             rays = cache.of_lights(
                 "traced",
                 scene,
@@ -115,6 +122,14 @@ class Loader:
         if keep:
             self._last = time, loaded
         return loaded
+
+    def first_faces(
+        self, seen: Loaded, camera: Camera, product: Product, share: Share
+    ) -> dict[int, Any] | None:
+        """Return what keeps the first triangles of a picture, where one may see the same again."""
+        samples = math.prod(product.resolution) * self._settings.samples_per_pixel
+        picture = product.camera, product.resolution
+        return self._cache.first_faces(seen.scene, picture, (*camera.rays(), share), samples)
 
     def _transfers(self, scene: Scene) -> DeviceTransfers | None:
         """Return the shadows that were baked for a scene, for the integrator that takes them."""

@@ -2,6 +2,8 @@
 
 Reads:  any stage.
 Writes: the files its products name (``usdskin.render.outputs``); nothing of the stage.
+
+What not every picture needs is imported where it is needed: Warp parses each kernel it is given.
 """
 
 from __future__ import annotations
@@ -11,6 +13,9 @@ import time as clock
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from usdskin import compilation
 from usdskin.device import Workers, open_workers
@@ -22,14 +27,12 @@ from usdskin.render.aovs import MATTES, TRACED_SOURCES
 from usdskin.render.cameras import Camera, read_camera
 from usdskin.render.changes import EVERYTHING, find_changes
 from usdskin.render.checkpoint import KEEP_EVERY_S, Checkpoint, fingerprint, partial_path
-from usdskin.render.cryptomatte import collect_mattes
 from usdskin.render.frame_cache import FrameCache
 from usdskin.render.frame_writer import FrameWriter
 from usdskin.render.integrate import (
     WHOLE,
     Picture,
     Share,
-    collect_data,
     integrate,
     picture_kernels,
 )
@@ -47,7 +50,6 @@ from usdskin.render.outputs import Shot, matte_names, previewing, write_picture
 from usdskin.render.overrides import RenderOverrides
 from usdskin.render.products import Product, prepare_folders
 from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
-from usdskin.render.traced import integrate_traced
 from usdskin.render.traced_passes import Sampling, sampling_key
 
 # isort: split
@@ -226,7 +228,10 @@ def _render_product(
                 show_dome=show_dome,
                 checkpoint=checkpoint,
                 share=share,
+                faces=loader.first_faces(seen, camera, product, share),
             )
+        from usdskin.render.traced import integrate_traced
+
         return integrate_traced(
             seen.device_scene,
             seen.traced,
@@ -267,14 +272,16 @@ def _render_product(
 
         picture = mean_picture(moments(), len(exposure.cameras))
         begun += sum(seconds.values()) - before  # reading scenes is counted as such
-    data = (
-        collect_data(
+    data: dict[str, NDArray[Any]] = {}
+    if sources - set(TRACED_SOURCES) - set(MATTES):
+        from usdskin.render.pixel_data import collect_data
+
+        data |= collect_data(
             device_scene, camera, product.resolution, workers, irradiance="irradiance" in sources
         )
-        if sources - set(TRACED_SOURCES) - set(MATTES)
-        else {}
-    )
     if sources & set(MATTES):
+        from usdskin.render.cryptomatte import collect_mattes
+
         data |= collect_mattes(
             device_scene,
             camera,

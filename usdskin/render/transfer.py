@@ -16,9 +16,9 @@ from usdskin.prims.transfers import SkinTransfer, read_transfer
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.scene import Scene
 from usdskin.render.settings import RenderSettings
-from usdskin.render.transfer_bake import reaches, scene_hash
 from usdskin.render.transfer_file import MeshTransfer, TransferFile, joined
-from usdskin.render.transfer_points import geometry_hashes, places_of, shaded_vertices
+from usdskin.render.transfer_identity import geometry_hashes, reaches, scene_hash
+from usdskin.render.transfer_points import places_of, shaded_vertices
 from usdskin.render.transfer_sphere import TransferSphere, transfer_sphere
 from usdskin.warp_kernels import transfer
 

@@ -7,7 +7,6 @@ Writes: ``transfer.usda``, which says ``SkinTransferAPI`` over every gprim, and 
 
 from __future__ import annotations
 
-import hashlib
 import time as clock
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -32,8 +31,9 @@ from usdskin.render.scene import Scene, read_scene
 from usdskin.render.settings import RenderSettings, read_settings
 from usdskin.render.surface_rows import body_reach
 from usdskin.render.transfer_file import MeshTransfer, kept, write_transfers
+from usdskin.render.transfer_identity import geometry_hashes, reaches, scene_hash
 from usdskin.render.transfer_levels import Level, beside, levels_of, rim_of, words_near
-from usdskin.render.transfer_points import Places, facet_spread, geometry_hashes, places_of
+from usdskin.render.transfer_points import Places, facet_spread, places_of
 from usdskin.render.transfer_sphere import WORD, TransferSphere, ring_count, transfer_sphere
 from usdskin.render.uploading import is_solid, upload_bodies
 from usdskin.warp_kernels import structs, transfer, transfer_structs
@@ -157,20 +157,6 @@ def bake_transfer(
         [output, data], list(dict.fromkeys(notes)), seconds,
         len(meshes), rows, rays, data.stat().st_size,
     )  # fmt: skip
-
-
-def scene_hash(hashes: dict[str, str]) -> str:
-    """Return one hash of all geometry, whatever the prims are called."""
-    text = "\n".join(sorted(hashes.values()))
-    return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
-
-
-def reaches(
-    mesh: MeshArrays, scene: Scene, settings: RenderSettings
-) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return how far light is followed through each material of a mesh [m]."""
-    found = (scene.materials[scene.material_index[path]] for path in mesh.material_paths)
-    return np.array([body_reach(material, settings.wavelength_nm) for material in found])
 
 
 def _check_replaced(stage: Usd.Stage, output: Path) -> None:

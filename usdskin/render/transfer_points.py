@@ -6,16 +6,12 @@ whether it is skin. Where shading normals differ around a point it is shaded onc
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usdskin.render.inputs import PrimvarInput, TextureInput
-from usdskin.render.materials import SkinMaterial, SurfaceMaterial
 from usdskin.render.meshes import MeshArrays
-from usdskin.render.scene import Scene
 
 _NORMAL_STEPS = 1000
 """Normals closer than one part in so many are one."""
@@ -109,43 +105,3 @@ def shaded_vertices(mesh: MeshArrays, places: Places) -> ShadedVertices:
         key = key * (2 * _NORMAL_STEPS + 2) + steps[:, axis]
     _, first, corner_vertex = np.unique(key, return_index=True, return_inverse=True)
     return ShadedVertices(places.corner_place[first], normal[first], corner_vertex.reshape(-1))
-
-
-def geometry_hashes(scene: Scene) -> dict[str, str]:
-    """Return a hash of what every mesh of a scene keeps light from, by prim path.
-
-    Points, triangles, and what its materials let pass; where several meshes share a path, all.
-    """
-    found: dict[str, str] = {}
-    for mesh in scene.meshes:
-        seen = hashlib.blake2b(digest_size=12)
-        for array in (mesh.points, mesh.triangles, mesh.material_slot):
-            seen.update(repr(array.shape).encode())
-            seen.update(np.ascontiguousarray(array).data)
-        for path in mesh.material_paths:
-            _add_opacity(seen, scene.materials[scene.material_index[path]], mesh)
-        digest = seen.hexdigest()
-        found[mesh.path] = f"{found[mesh.path]} {digest}" if mesh.path in found else digest
-    return found
-
-
-def _add_opacity(
-    seen: hashlib.blake2b, material: SkinMaterial | SurfaceMaterial, mesh: MeshArrays
-) -> None:
-    if isinstance(material, SkinMaterial):
-        seen.update(b"skin")
-        return
-    opacity, primvar = material.opacity, None
-    text = f"surface {material.opacity_threshold!r} "
-    if isinstance(opacity, TextureInput):
-        text += f"{opacity.file} {opacity.channel} {opacity.scale} {opacity.bias} "
-        text += f"{opacity.fallback} {opacity.st_matrix.tolist()}"
-        primvar = opacity.primvar
-    elif isinstance(opacity, PrimvarInput):
-        text += f"{opacity.name} {opacity.fallback}"
-        primvar = opacity.name
-    else:
-        text += repr(opacity)
-    seen.update(text.encode())
-    if primvar is not None and primvar in mesh.primvars:
-        seen.update(np.ascontiguousarray(mesh.primvars[primvar]).data)
