@@ -13,6 +13,7 @@ from pathlib import Path
 from usdskin.errors import LayerError
 from usdskin.judge.proof.skin import SHOT_SKIN
 from usdskin.layers import open_stage, quiet_diagnostics, record_provenance, write_layer
+from usdskin.notes import Note
 
 # isort: split
 # After ours, which register the schemas.
@@ -20,6 +21,9 @@ from pxr import Sdf, Usd
 
 SHOT_LIGHT = "/Shot/Light"
 """Where a proof's shot has its light."""
+
+SHOT_SUBJECT = "/Shot/Subject"
+"""Where it has who is lit."""
 
 _OF_A_ROOT = (
     *("defaultPrim", "upAxis", "metersPerUnit", "renderSettingsPrimPath"),
@@ -43,7 +47,51 @@ class ShotParts:
 
 def subject_and_tone(subject: str | None, tone: str | None) -> dict[tuple[str, str], str | None]:
     """Return the variants of a proof's shot that can be asked for."""
-    return {("/Shot/Subject", "subject"): subject, (SHOT_SKIN, "tone"): tone}
+    return {(SHOT_SUBJECT, "subject"): subject, (SHOT_SKIN, "tone"): tone}
+
+
+def check_shot(shot: Path, variants: Mapping[tuple[str, str], str | None]) -> None:
+    """Refuse a shot that could not be rendered, whatever its light.
+
+    Args:
+        shot: The set's shot; its light need not have been made yet.
+        variants: As of ``write_base``.
+
+    Raises:
+        LayerError: It has no such variant, or layers are missing.
+    """
+
+    def prepare(stage: Usd.Stage) -> None:
+        with Usd.EditContext(stage, stage.GetSessionLayer()):
+            light = stage.GetPrimAtPath(SHOT_LIGHT)
+            if light:
+                light.GetReferences().SetReferences([])
+            for (prim_path, variant_set), chosen in variants.items():
+                known = _variants(stage, prim_path, variant_set)
+                if chosen is not None and chosen not in known:
+                    raise LayerError(
+                        f"{shot}: <{prim_path}> has no variant {variant_set}={chosen}; it has "
+                        f"{', '.join(known) or 'none'}"
+                    )
+                if chosen is not None:
+                    owned = stage.GetPrimAtPath(prim_path).GetVariantSets()
+                    owned.SetSelection(variant_set, chosen)
+
+    missing: list[Note] = []
+    stage = open_stage(shot, missing, prepare)
+    if missing:
+        subject = stage.GetPrimAtPath(SHOT_SUBJECT)
+        others = set(_variants(stage, SHOT_SUBJECT, "subject"))
+        if subject:
+            others.discard(subject.GetVariantSet("subject").GetVariantSelection())
+        choice = f", or choose --subject {'|'.join(sorted(others))}" if others else ""
+        what = missing[0].message.rstrip(".")
+        raise LayerError(f"{shot} <{missing[0].path}>: {what}; restore the missing layer{choice}")
+
+
+def _variants(stage: Usd.Stage, prim_path: str, variant_set: str) -> list[str]:
+    prim = stage.GetPrimAtPath(prim_path)
+    return list(prim.GetVariantSets().GetVariantSet(variant_set).GetVariantNames()) if prim else []
 
 
 def write_base(
@@ -60,10 +108,8 @@ def write_base(
     Raises:
         LayerError: The shot has no such variant, or is no shot of a proof.
     """
-    found = Sdf.Layer.FindOrOpen(str(shot))
-    if found is None:
-        raise LayerError(f"{shot}: cannot be read as a USD layer; export it again")
-    layer = _over(found, shot, output)
+    check_shot(shot, variants)
+    layer = _over(Sdf.Layer.FindOrOpen(str(shot)), shot, output)
     name = _name(light, output.parent.resolve())
     layer.GetPrimAtPath(SHOT_LIGHT).referenceList.explicitItems = [Sdf.Reference(name)]
     for (prim_path, variant_set), chosen in variants.items():
@@ -74,14 +120,6 @@ def write_base(
     for path in (SHOT_LIGHT, SHOT_SKIN):
         if not stage.GetPrimAtPath(path).IsDefined():
             raise LayerError(f"{shot}: has no <{path}>, which a proof replaces; see docs/proof.md")
-    for (prim_path, variant_set), chosen in variants.items():
-        owned = stage.GetPrimAtPath(prim_path).GetVariantSets()
-        known = owned.GetVariantSet(variant_set).GetVariantNames()
-        if chosen is not None and chosen not in known:
-            raise LayerError(
-                f"{shot}: <{prim_path}> has no variant {variant_set}={chosen}; it has "
-                f"{', '.join(known) or 'none'}"
-            )
     return output
 
 

@@ -11,6 +11,7 @@ from usdskin.judge.proof.light import TrueLight
 from usdskin.judge.proof.options import ProofOptions
 from usdskin.judge.proof.place import Place
 from usdskin.judge.proof.record import Doing, Journal, StepRecord
+from usdskin.judge.proof.shots import check_shot, subject_and_tone
 from usdskin.progress import Progress, SilentProgress
 
 Tell = Callable[[StepRecord, bool], None]
@@ -39,6 +40,7 @@ class Steps:
                 f"{folder}: {what}; name a set (set.usda and shot.usda) or a shoot (shoot.usda and "
                 "charts), see docs/proof.md"
             )
+        check_shot(self.shot, subject_and_tone(options.subject, options.tone))
         self.options = options
         self.progress = progress or SilentProgress()
         self._tell, self._draw = tell, draw
