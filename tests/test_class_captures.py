@@ -125,6 +125,86 @@ def test_drift_between_captures_leaves_the_whole_as_it_was_captured(tmp_path):
     )
 
 
+def lit_room(folder: Path) -> Switchable:
+    """Write grey walls, in the light of two lamps, each seen in a direction of its own."""
+    camera = make_place(folder, LAMPS[:2]).camera
+    amount = np.full((2, HEIGHT, WIDTH), 0.2)
+    amount[0, 6:9, 10:14] = amount[1, 9:12, 30:34] = 20.0
+    parts = np.stack([amount[index, ..., None] * lamp(LAMPS[index]) for index in range(2)])
+    write_capture(folder, "all", parts.sum(axis=0), SCALE)
+    for index, part in enumerate(parts):
+        write_capture(folder, f"lamp{index}", part, SCALE)
+    return Switchable(folder, camera, parts)
+
+
+def spoil(place: Switchable, radiance: np.ndarray, scale: float = SCALE) -> None:
+    """Write the capture of the first lamp anew."""
+    (place.folder / "lamp0.usda").unlink()
+    write_capture(place.folder, "lamp0", radiance, scale)
+
+
+def disagreements(place: Switchable) -> list[str]:
+    return [str(note) for note in place.result.notes if note.code.startswith("captures-")]
+
+
+@pytest.mark.parametrize("captured", [("lamp0", "lamp1"), ("lamp0",)])
+def test_a_capture_from_a_turned_tripod_is_refused(tmp_path, captured):
+    """The lamp is where the whole capture has a wall: columns 10 to 13 of 48, turned by four."""
+    place = lit_room(tmp_path)
+    place.light(*captured)
+    assert disagreements(place) == []
+    spoil(place, np.roll(place.parts[0], 4, axis=1))
+    message = (
+        r"--class-capture lamp0 \(lamp0.usda </Capture>\): gives \d+\.\d\d times the light of the "
+        r"whole capture, all.usda </Capture>, around azimuth 2[34]\d, elevation [34]\d deg "
+        r"\(x 1[567], y [678] of all.exr\), so it does not belong to it; name the right layer, or "
+    )
+    with pytest.raises(LayerError, match=message):
+        place.light(*captured)
+
+
+def test_lamps_that_were_off_in_their_capture_are_refused(tmp_path):
+    """Light is missing, and the sum cannot tell in which capture."""
+    place = lit_room(tmp_path)
+    spoil(place, 0.01 * place.parts[0])
+    message = r"lamp0, lamp1: together give 0.\d\d times .*\(x 1[0-3], y [678] of .*one of them"
+    with pytest.raises(LayerError, match=message):
+        place.light("lamp0", "lamp1")
+
+
+@pytest.mark.parametrize(
+    ("factor", "count"), [(1 / 1.4, 1), (1 / 1.1, 0), (1.0, 0), (1.1, 0), (1.4, 1)]
+)
+def test_captures_that_do_not_quite_add_up_are_noted(tmp_path, factor, count):
+    place = lit_room(tmp_path)
+    spoil(place, factor * place.parts[0])
+    place.light("lamp0", "lamp1")
+    found = disagreements(place)
+    assert len(found) == count
+    assert all("times the light of the whole capture, all.usda" in note for note in found)
+
+
+def test_a_single_capture_is_not_held_to_be_the_whole(tmp_path):
+    """What the other class adds is its light; that it adds nothing is told."""
+    place = lit_room(tmp_path)
+    place.light("lamp0")
+    assert disagreements(place) == []
+    spoil(place, place.parts.sum(axis=0))
+    place.light("lamp0")
+    (note,) = disagreements(place)
+    assert "captures-leave-nothing <lamp0>: give all the light of all.usda" in note
+
+
+def test_captures_of_another_scale_add_up(tmp_path):
+    """Pixels are camera values times each capture's own scale."""
+    place = lit_room(tmp_path)
+    expected, _ = recovered(place.light("lamp0", "lamp1"))
+    spoil(place, place.parts[0], 7.0 * SCALE)
+    found, _ = recovered(place.light("lamp0", "lamp1"))
+    assert disagreements(place) == []
+    assert relative(found, expected) < 1e-5
+
+
 @pytest.mark.parametrize(
     ("names", "error", "message"),
     [
@@ -157,7 +237,10 @@ def test_captures_of_another_size_or_frame_or_camera_are_refused(tmp_path):
     settings = {"capture:settings:model": "Another"}
     write_capture(tmp_path, "foreign", place.parts[0], SCALE, **settings)
     options = LightOptions(class_captures=(("lamp0", tmp_path / "foreign.usda"),))
-    with pytest.raises(LayerError, match="Another"):
+    with pytest.raises(
+        LayerError,
+        match=r'camera model is "Another" \(capture:settings:model\), but .* "Maker 5100"',
+    ):
         estimate_light(tmp_path / "all.usda", place.camera, tmp_path / "l.usda", options)
 
 
