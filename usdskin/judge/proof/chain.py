@@ -288,9 +288,7 @@ class Chain(Steps):
         self._step(
             "light",
             "estimate the light",
-            place.command(
-                *("estimate", "light", capture, "--camera", camera, "-o", output, *words)
-            ),
+            place.command("estimate", "light", capture, "--camera", camera, "-o", output, *words),
             [*reads, camera],
             run,
         )

@@ -273,9 +273,7 @@ class _RealStreet:
         self._step(
             "light",
             "estimate the light",
-            place.command(
-                *("estimate", "light", capture, "--camera", camera, "-o", output, *words)
-            ),
+            place.command("estimate", "light", capture, "--camera", camera, "-o", output, *words),
             [*reads, camera],
             run,
         )
