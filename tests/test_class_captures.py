@@ -125,6 +125,76 @@ def test_drift_between_captures_leaves_the_whole_as_it_was_captured(tmp_path):
     )
 
 
+def lit_room(folder: Path) -> Switchable:
+    """Write grey walls, in the light of two lamps, each seen in a direction of its own."""
+    camera = make_place(folder, LAMPS[:2]).camera
+    amount = np.full((2, HEIGHT, WIDTH), 0.2)
+    amount[0, 6:9, 10:14] = amount[1, 9:12, 30:34] = 20.0
+    parts = np.stack([amount[index, ..., None] * lamp(LAMPS[index]) for index in range(2)])
+    write_capture(folder, "all", parts.sum(axis=0), SCALE)
+    for index, part in enumerate(parts):
+        write_capture(folder, f"lamp{index}", part, SCALE)
+    return Switchable(folder, camera, parts)
+
+
+def spoil(place: Switchable, radiance: np.ndarray) -> None:
+    """Write the capture of the first lamp anew."""
+    (place.folder / "lamp0.usda").unlink()
+    write_capture(place.folder, "lamp0", radiance, 3.0 * SCALE)
+
+
+def disagreements(place: Switchable) -> list[str]:
+    return [str(note) for note in place.result.notes if note.code.startswith("captures-")]
+
+
+@pytest.mark.parametrize("captured", [("lamp0", "lamp1"), ("lamp0",)])
+def test_a_capture_from_a_turned_tripod_is_refused(tmp_path, captured):
+    """The lamp is where the whole capture has a wall: columns 10 to 13 of 48, turned by four."""
+    place = lit_room(tmp_path)
+    place.light(*captured)
+    assert disagreements(place) == []
+    spoil(place, np.roll(place.parts[0], 4, axis=1))
+    message = (
+        r"--class-capture lamp0 \(lamp0.usda </Capture>\): gives \d+\.\d\d times the light of the "
+        r"whole capture, all.usda </Capture>, around azimuth 2[34]\d, elevation [34]\d deg "
+        r"\(x 1[567], y [678] of all.exr\), so it does not belong to it; name the right layer, or "
+    )
+    with pytest.raises(LayerError, match=message):
+        place.light(*captured)
+
+
+def test_lamps_that_were_off_in_their_capture_are_refused(tmp_path):
+    """Light is missing, and the sum cannot tell in which capture."""
+    place = lit_room(tmp_path)
+    spoil(place, 0.01 * place.parts[0])
+    message = r"lamp0, lamp1: together give 0.\d\d times .*\(x 1[0-3], y [678] of .*one of them"
+    with pytest.raises(LayerError, match=message):
+        place.light("lamp0", "lamp1")
+
+
+@pytest.mark.parametrize(
+    ("factor", "count"), [(1 / 1.4, 1), (1 / 1.1, 0), (1.0, 0), (1.1, 0), (1.4, 1)]
+)
+def test_captures_that_do_not_quite_add_up_are_noted(tmp_path, factor, count):
+    place = lit_room(tmp_path)
+    spoil(place, factor * place.parts[0])
+    place.light("lamp0", "lamp1")
+    found = disagreements(place)
+    assert len(found) == count
+    assert all("times the light of the whole capture, all.usda" in note for note in found)
+
+
+def test_a_single_capture_is_not_held_to_be_the_whole(tmp_path):
+    """What the other class adds is its light; that it adds nothing is told."""
+    place = lit_room(tmp_path)
+    place.light("lamp0")
+    assert disagreements(place) == []
+    spoil(place, place.parts.sum(axis=0))
+    place.light("lamp0")
+    (note,) = disagreements(place)
+    assert "captures-leave-nothing <lamp0>: give all the light of all.usda" in note
+
+
 @pytest.mark.parametrize(
     ("names", "error", "message"),
     [
@@ -152,13 +222,30 @@ def test_captures_of_another_size_or_frame_or_camera_are_refused(tmp_path):
         place.light("lamp0", "lamp1")
     write_capture(tmp_path, "other", place.parts[0], SCALE, up_axis="Z")
     options = LightOptions(class_captures=(("lamp0", tmp_path / "other.usda"),))
-    with pytest.raises(LayerError, match="its up axis is Z"):
+    with pytest.raises(LayerError, match=r"--class-capture lamp0 \(other.usda.*: its up axis is Z"):
         estimate_light(tmp_path / "all.usda", place.camera, tmp_path / "l.usda", options)
     settings = {"capture:settings:model": "Another"}
     write_capture(tmp_path, "foreign", place.parts[0], SCALE, **settings)
     options = LightOptions(class_captures=(("lamp0", tmp_path / "foreign.usda"),))
-    with pytest.raises(LayerError, match="Another"):
+    message = r'^--class-capture lamp0: foreign.usda .* camera model is "Another" .* "Maker 5100"'
+    with pytest.raises(LayerError, match=message):
         estimate_light(tmp_path / "all.usda", place.camera, tmp_path / "l.usda", options)
+
+
+def test_files_that_are_no_captures_are_refused_by_the_name_of_their_class(tmp_path):
+    place = switchable(tmp_path)
+    (tmp_path / "empty.usda").write_text("#usda 1.0\n")
+    pixels = np.full((HEIGHT, WIDTH, 3), np.nan, np.float32)
+    (tmp_path / "lamp1.exr").unlink()
+    write_exr(tmp_path / "lamp1.exr", [Part("", {"": pixels}, color_space="unknown")])
+    for name, error, message in [
+        ("gone", LayerError, "--class-capture lamp0: .*gone.usda: no such file"),
+        ("empty", LayerError, "--class-capture lamp0: empty.usda: .*, so it is no capture"),
+        ("lamp1", ImageError, r"lamp1.exr \(lamp1.usda </Capture>\): the pixel at x 0, y 0 is nan"),
+    ]:
+        options = LightOptions(class_captures=(("lamp0", tmp_path / f"{name}.usda"),))
+        with pytest.raises(error, match=message):
+            estimate_light(tmp_path / "all.usda", place.camera, tmp_path / "l.usda", options)
 
 
 def test_a_class_or_a_map_and_captures_exclude_each_other(tmp_path):

@@ -99,26 +99,35 @@ def test_an_outside_formula_finds_the_same_difference(proved):
     )
 
 
-def test_captures_of_single_classes_take_the_place_of_a_class_map(tmp_path, monkeypatch):
-    """Each by the command that stands in the proof, with the camera of the whole shoot."""
-    light = write_set(tmp_path / "set")
+@pytest.fixture(scope="module")
+def switched(tmp_path_factory):
+    """Prove a set of two kinds of lamps, each captured alone too."""
+    folder = tmp_path_factory.mktemp("switched")
+    light = write_set(folder / "set")
     options = ProofOptions(
         size=size_of("tiny"), integrators=("map",), light=light, class_captures=True
     )
-    proof = json.loads(prove(tmp_path / "set", tmp_path / "out", options).path.read_text())
+    done = prove(folder / "set", folder / "out", options)
+    return folder / "out", json.loads(done.path.read_text())
+
+
+def test_captures_of_single_classes_take_the_place_of_a_class_map(switched, tmp_path, monkeypatch):
+    """Each by the command that stands in the proof, with the camera of the whole shoot."""
+    output, proof = switched
     steps = steps_of(proof)
     found = {row["name"]: row["result"]["deltaE2000"]["mean"] for row in proof["comparisons"]}
     assert 0.0 < found["light"] < 1.5
     for name in ("tubes", "window"):
         assert f"--class-capture {name}=captures/{name}/capture.usda" in steps["light"]["command"]
-    monkeypatch.chdir(tmp_path / "out")
-    words = shlex.split(steps["photograph-window"]["command"])[1:]
-    words[words.index("-o") + 1] = "again"
+    assert not any("captures-" in note for note in steps["light"]["notes"])
+    monkeypatch.chdir(output)
+    words, again = shlex.split(steps["photograph-window"]["command"])[1:], tmp_path / "again"
+    words[words.index("-o") + 1] = str(again)
     assert main(["-q", *words]) == 0
-    pictures = [path for path in sorted(Path("again").glob("view*/*")) if path.suffix == ".tif"]
-    assert len(pictures) == 4 * options.size.exposures
+    pictures = [path for path in sorted(again.glob("view*/*")) if path.suffix == ".tif"]
+    assert len(pictures) == 4 * size_of("tiny").exposures
     for picture in pictures:
-        kept = Path("shoot/room_window") / picture.relative_to("again")
+        kept = Path("shoot/room_window") / picture.relative_to(again)
         assert picture.read_bytes() == kept.read_bytes()
 
 
@@ -292,6 +301,38 @@ def test_a_real_shoot_is_judged_by_its_charts(proved, tmp_path):
     assert len(row["patches"]) == 24
     assert proof["comparisons"] == [] and proof["bars"] == []
     assert any("true light is not known" in text for text in proof["missing"])
+
+
+def test_a_real_shoot_takes_captures_of_single_classes(switched, tmp_path):
+    """Of a folder as a proof leaves it; one class may go without."""
+    shoot, options = tmp_path / "shoot", ProofOptions(class_captures=True)
+    shutil.copytree(switched[0] / "shoot", shoot, ignore=shutil.ignore_patterns("truth"))
+    (shoot / "shoot_tubes.usda").unlink()
+    proof = json.loads(prove(shoot, tmp_path / "out", options).path.read_text())
+    steps = steps_of(proof)
+    assert [*steps] == ["capture", "capture-window", "camera", "light"]
+    assert "--class-capture window=captures/window/capture.usda" in steps["light"]["command"]
+    assert {row["class"] for row in proof["patches"]} == {"tubes", "window"}
+    (shoot / "shoot_window.usda").rename(shoot / "shoot_windows.usda")
+    with pytest.raises(UsageError, match="in the light of windows, only of tubes, window"):
+        prove(shoot, tmp_path / "again", options)
+    (shoot / "shoot_windows.usda").unlink()
+    with pytest.raises(UsageError, match=r"has no shoot_tubes\.usda and no shoot_window"):
+        prove(shoot, tmp_path / "again", options)
+    assert not (tmp_path / "again").exists()
+
+
+@pytest.mark.parametrize(
+    "given",
+    ["--capture realistic", "--scale-error 0", "--tones", "--budget", "--camera x", "--check"],
+)
+def test_a_real_shoot_refuses_options_about_the_truth(tmp_path, capsys, given):
+    """Even where they say what is the default of a set."""
+    (tmp_path / "shoot.usda").write_text("#usda 1.0\n")
+    option = given.split()[0]
+    assert main(["prove", str(tmp_path), "-o", str(tmp_path / "out"), *given.split()]) == 2
+    assert f"{option} is for sets, whose truth is known" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_shoot_without_charts_is_refused(tmp_path, capsys):

@@ -9,13 +9,18 @@ import click
 
 from usdskin.commands.options import StepCommand
 from usdskin.commands.reporter import GlobalOptions, Reporter
-from usdskin.errors import EXIT_FINDINGS
+from usdskin.errors import EXIT_FINDINGS, UsageError
 
 if TYPE_CHECKING:
     from usdskin.judge.proof.prove import Proof
     from usdskin.judge.proof.record import StepRecord
 
 _PATH = click.Path(path_type=Path)
+_OF_SETS = (
+    *("capture", "scale_error", "solve_height", "fisheye", "exposures", "tones", "budget"),
+    *("light", "camera", "chart", "check"),
+)
+"""What is about the virtual shoot of a set, or about its truth."""
 
 
 @click.command("prove", cls=StepCommand)
@@ -104,7 +109,9 @@ def prove(
     and picture on the way, and proof.json, which says what each step did and how to do it by hand.
 
     FOLDER may also hold a real shoot, shoot.usda and a chart.usda with measured spectra for each
-    kind of light. Then the patches of the charts are what is judged.
+    kind of light. Then the patches of the charts are what is judged, and options about the truth or
+    about virtual cameras are refused; --class-captures takes shoot_CLASS.usda, the place in the
+    light of each class alone.
 
     \b
     Examples:
@@ -115,8 +122,11 @@ def prove(
     with Reporter(options) as reporter:
         from usdskin.judge.proof.options import ProofOptions, size_of
         from usdskin.judge.proof.prove import prove as run
+        from usdskin.judge.proof.real import is_real_shoot
         from usdskin.plots.budget import draw_budget
 
+        if is_real_shoot(folder):
+            _refuse_options_of_sets(folder)
         numbers = ("solve_height", "fisheye", "exposures", "width", "samples")
         size = size_of(given.pop("size"), **{name: given.pop(name) for name in numbers})
         integrator = given.pop("integrator")
@@ -139,6 +149,16 @@ def prove(
         reporter.wrote([proof.path])
         missed = any(not bar["met"] for bar in proof.bars)
         return EXIT_FINDINGS if check and missed else None
+
+
+def _refuse_options_of_sets(folder: Path) -> None:
+    context = click.get_current_context()
+    for name in _OF_SETS:
+        if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
+            raise UsageError(
+                f"--{name.replace('_', '-')} is for sets, whose truth is known; {folder} is a real "
+                "shoot, so leave it out"
+            )
 
 
 def _tell(reporter: Reporter, step: StepRecord, kept: bool) -> None:

@@ -132,8 +132,8 @@ def capture_prim(stage: Usd.Stage) -> Usd.Prim:
     name = stage.GetRootLayer().GetDisplayName()
     if not found:
         raise LayerError(
-            f"{name}: no prim has CaptureAPI; `usdskin ingest` writes a shoot from a folder of "
-            "photographs"
+            f"{name}: no prim has CaptureAPI, so it is no capture; `usdskin ingest` writes a shoot "
+            "from a folder of photographs, `usdskin capture` its panorama"
         )
     if len(found) > 1:
         listed = ", ".join(f"<{prim.GetPath()}>" for prim in found)

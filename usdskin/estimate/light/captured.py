@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.errors import UsageError
+from usdskin.estimate.light.additivity import check_additivity
 from usdskin.estimate.light.light_map import LightMap
 from usdskin.estimate.light.pictures import clipped_share, panorama_rows, panorama_size
 from usdskin.estimate.light.switched import Switched, luminance_shares, switched_captures
@@ -28,9 +29,6 @@ class Mixture:
 
     weights: FloatImage | None
     """Share of each class, adding up to 1, shape [height, width, classes]; None: one class."""
-
-    source: str
-    """``only``, ``named``, ``map``, ``captures`` or ``estimated``."""
 
     switched: Switched | None = None
     """What every class was measured to give; None: the weights and von Kries tell."""
@@ -71,7 +69,7 @@ def find_mixture(
     if light_class is not None and class_map is not None:
         raise UsageError("--class and --class-map exclude each other; a map holds several classes")
     if light_class is not None:
-        return Mixture((_named(camera, light_class),), None, "named")
+        return Mixture((_named(camera, light_class),), None)
     if len(camera.recoveries) == 1:
         if class_map is not None or class_captures:
             flag = f"map {class_map}" if class_map else f"capture {next(iter(class_captures))}"
@@ -80,25 +78,27 @@ def find_mixture(
                 f"{camera.recoveries[0].light_class}; calibrate with a chart in each, or leave "
                 "it out"
             )
-        return Mixture(camera.recoveries, None, "only")
+        return Mixture(camera.recoveries, None)
     names = tuple(recovery.light_class for recovery in camera.recoveries)
     if class_captures:
         switched = switched_captures(capture, class_captures, camera)
+        is_complete = len(class_captures) == len(names)
+        check_additivity(capture, class_captures, is_complete, notes)
         weights = luminance_shares(switched, camera)
-        return Mixture(camera.recoveries, weights, "captures", switched)
+        return Mixture(camera.recoveries, weights, switched)
     height, width = panorama_size(capture)
     if class_map is not None:
         from usdskin.estimate.classes import read_class_map
 
         weights = read_class_map(class_map, names, height, width)
-        return Mixture(camera.recoveries, np.asarray(weights, np.float32), "map")
+        return Mixture(camera.recoveries, np.asarray(weights, np.float32))
     from usdskin.estimate.classes import estimate_class_weights
 
     pixels = np.empty((height, width, 3), np.float32)
     for begin, block in panorama_rows(capture, height, width):
         np.divide(block, np.float32(capture.scale), out=pixels[begin : begin + len(block)])
     weights = estimate_class_weights(pixels, camera, notes, clipped=clipped_share(capture))
-    return Mixture(camera.recoveries, np.asarray(weights, np.float32), "estimated")
+    return Mixture(camera.recoveries, np.asarray(weights, np.float32))
 
 
 def _named(camera: SpectralCamera, name: str) -> Recovery:
@@ -123,9 +123,8 @@ def captured_map(
     divided by that scale. What classes give was measured where each was captured alone; else, where
     they meet, a surface is taken to reflect them alike in each channel (J. von Kries, 1902): they
     give to channel j in proportion to their shares of luminance times the camera value that their
-    light has of that luminance. Noise in the dark can give a
-    texel camera values that no light has, and a spectrum with less than no energy: such texels are
-    black.
+    light has of that luminance. Noise in the dark can give a texel camera values that no light has,
+    and a spectrum with less than no energy: such texels are black.
 
     Args:
         capture: The capture.

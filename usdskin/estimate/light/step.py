@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from usdskin.errors import UsageError
+from usdskin.errors import LayerError, UsageError
 from usdskin.estimate.light.agreement import check_agreement
 from usdskin.estimate.light.captured import Mixture, captured_map, find_mixture
 from usdskin.estimate.light.layer import Background
@@ -128,10 +128,13 @@ def _read_alone(
     for name, layer in options.class_captures:
         if name in alone:
             raise UsageError(f"--class-capture {name}: given twice; keep one of them")
-        stage = open_stage(layer, notes)
-        alone[name] = read_captured_panorama(stage)
-        # Only its share of the whole counts, so a reading need not set its scale.
-        check_agreement(alone[name], camera, True, notes)
+        try:
+            stage = open_stage(layer, notes)
+            alone[name] = read_captured_panorama(stage)
+            # Only its share of the whole counts, so a reading need not set its scale.
+            check_agreement(alone[name], camera, True, notes)
+        except LayerError as error:  # captures tend to have the same file name
+            raise LayerError(f"--class-capture {name}: {error}") from error
         used += [*used_files(stage), alone[name].panorama_file]
     return alone, used
 

@@ -95,8 +95,8 @@ def switched_captures(
             )
         if capture.up_axis != whole.up_axis:
             raise LayerError(
-                f"{capture.where}: its up axis is {capture.up_axis}, that of {whole.where} "
-                f"{whole.up_axis}; capture both with the same"
+                f"--class-capture {name} ({capture.where}): its up axis is {capture.up_axis}, that "
+                f"of the whole capture, {whole.where}, is {whole.up_axis}; ingest both alike"
             )
     return Switched(whole, tuple(alone.get(name) for name in names))
 

@@ -8,13 +8,14 @@ from typing import Any
 
 from usdskin.capture.step import CaptureOptions, capture_shoot
 from usdskin.estimate.camera.step import CalibrationOptions, calibrate_camera
-from usdskin.estimate.light.step import LightOptions, estimate_light
+from usdskin.estimate.light.step import estimate_light
 from usdskin.estimate.skin.step import estimate_skin
 from usdskin.judge.proof.fit import fit_options, goniometer_setup
 from usdskin.judge.proof.ideal import expose_exactly, measure_exactly
 from usdskin.judge.proof.light import (
     adopt_light,
     classes_beside,
+    estimate_options,
     light_files,
     solve_light,
     true_light,
@@ -277,26 +278,18 @@ class Chain(Steps):
     def _estimate_light(self) -> None:
         place = self.place
         capture, camera, output = place.capture(), place["camera.usda"], place["light.usda"]
-        alone = tuple((name, place.capture(name)) for name in self._alone())
+        given, words, reads = estimate_options(place, self._alone())
 
         def run(doing: Doing) -> None:
-            given = LightOptions(class_captures=alone)
             result = estimate_light(capture, camera, output, given, self.progress)
             doing.writes += result.paths
             doing.notes += result.notes
 
-        words: list[Any] = ["--camera", camera, "-o", output]
-        for name, layer in alone:
-            words += ["--class-capture", f"{name}={place.name_of(layer)}"]
-        layers = [capture, *(layer for _, layer in alone)]
-        pictures = [
-            layer.with_name(name) for layer in layers for name in ("panorama.exr", "stddev.exr")
-        ]
         self._step(
             "light",
             "estimate the light",
-            place.command("estimate", "light", capture, *words),
-            [*layers, camera, *(picture for picture in pictures if picture.exists())],
+            place.command("estimate", "light", capture, "--camera", camera, "-o", output, *words),
+            [*reads, camera],
             run,
         )
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from usdskin.errors import LayerError
+from usdskin.estimate.light.step import LightOptions
 from usdskin.judge.proof.place import Place
 from usdskin.judge.proof.record import Doing
 from usdskin.layers import open_stage, quiet_diagnostics, used_files, write_layer
@@ -101,6 +102,29 @@ def light_files(layer: Path) -> list[Path]:
             if value is not None and value.resolvedPath:
                 files.append(Path(value.resolvedPath))
     return [file for file in dict.fromkeys(files) if file.is_file()]
+
+
+def estimate_options(
+    place: Place, classes: Iterable[str]
+) -> tuple[LightOptions, list[str], list[Path]]:
+    """Return how a proof estimates its light, the same as options of the command, and what is read.
+
+    Args:
+        place: Holds the captures.
+        classes: Those that were captured alone too.
+    """
+    alone = tuple((name, place.capture(name)) for name in classes)
+    words = [
+        word
+        for name, layer in alone
+        for word in ("--class-capture", f"{name}={place.name_of(layer)}")
+    ]
+    layers = [place.capture(), *(layer for _, layer in alone)]
+    pictures = [
+        layer.with_name(name) for layer in layers for name in ("panorama.exr", "stddev.exr")
+    ]
+    reads = [*layers, *(picture for picture in pictures if picture.exists())]
+    return LightOptions(class_captures=alone), words, reads
 
 
 def _files_beside(place: Place, layers: list[Path]) -> list[Path]:

@@ -3,13 +3,14 @@
     prove_shoot(folder, output, options, progress, tell) -> Proof
 
 Reads:  ``shoot.usda`` and ``chart*.usda`` of a folder (charts may lie in folders of their own);
-        ``samples.usda`` and ``shot.usda`` where they are there.
+        ``samples.usda`` and ``shot.usda`` where they are there; where class captures are asked
+        for, ``shoot_<class>.usda``, the place in the light of one class alone.
 Writes: capture, camera, light, skin, pictures of the shot, and ``proof.json``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from usdskin.errors import UsageError
 from usdskin.estimate.camera.step import CalibrationOptions, calibrate_camera
 from usdskin.estimate.light.step import estimate_light
 from usdskin.estimate.skin.step import SkinOptions, estimate_skin
+from usdskin.judge.proof.light import estimate_options
 from usdskin.judge.proof.options import Integrator, ProofOptions
 from usdskin.judge.proof.patches import judge_patches
 from usdskin.judge.proof.place import Place
@@ -55,6 +57,37 @@ def find_charts(folder: Path) -> list[Path]:
     return sorted(path for path in found if path.parent.name != "truth")
 
 
+def find_alone(folder: Path, classes: Collection[str]) -> dict[str, Path]:
+    """Return the shoots of the place in the light of each class alone, by class.
+
+    Args:
+        folder: Holds them: ``shoot_<class>.usda``.
+        classes: The classes that charts were photographed in.
+
+    Raises:
+        UsageError: There is one class, more than one has no shoot, or a shoot is of none of them.
+    """
+    if len(classes) < 2:
+        raise UsageError(
+            f"--class-captures: {folder} has charts of one class of light, {', '.join(classes)}; "
+            "leave the option out, or add a chart in the light of the other lamps"
+        )
+    found = {path.stem.removeprefix("shoot_"): path for path in sorted(folder.glob("shoot_*.usda"))}
+    for name in found:
+        if name not in classes:
+            raise UsageError(
+                f"--class-captures: {found[name]}: no chart was photographed in the light of "
+                f"{name}, only of {', '.join(classes)}; rename the layer, or add the chart"
+            )
+    missing = [f"shoot_{name}.usda" for name in classes if name not in found]
+    if len(missing) > 1:
+        raise UsageError(
+            f"--class-captures: {folder} has no {' and no '.join(missing)}; photograph the place "
+            "with each kind of lamps alone (one may go without), or leave the option out"
+        )
+    return found
+
+
 def prove_shoot(
     folder: Path,
     output: Path,
@@ -75,7 +108,7 @@ def prove_shoot(
         ``proof.json``, its steps, and what else it holds.
 
     Raises:
-        UsdSkinError: A step failed, or the folder has no charts.
+        UsdSkinError: A step failed, or the folder lacks charts or captures of classes.
     """
     charts = find_charts(folder)
     if not charts:
@@ -100,6 +133,7 @@ class _RealStreet:
         tell: Tell | None,
     ) -> None:
         self.folder, self.charts, self.options = folder, charts, options
+        self.alone = find_alone(folder, self._classes()) if options.class_captures else {}
         self.place, self.journal = Place(output), Journal(output, options.resume)
         self.progress, self._tell = progress, tell
         self.missing = [NO_TRUTH]
@@ -108,7 +142,9 @@ class _RealStreet:
         """Do all steps and write ``proof.json``."""
         place = self.place
         try:
-            self._capture()
+            self._capture(self.folder / "shoot.usda", "")
+            for name, shoot in self.alone.items():
+                self._capture(shoot, name)
             self._calibrate()
             self._light()
             skin = self._skin()
@@ -170,22 +206,24 @@ class _RealStreet:
                 found[chart.light_class] = path
         return found
 
-    def _capture(self) -> None:
-        shoot, output = self.folder / "shoot.usda", self.place["capture.usda"]
-        stage = open_stage(shoot)
+    def _capture(self, shoot: Path, light_class: str) -> None:
+        """Capture the place in the whole light, or in that of a class alone."""
+        output, stage = self.place.capture(light_class), open_stage(shoot)
+        where = f" in the light of {light_class} alone" if light_class else ""
         images = [image for view in read_shoot(stage).views for image in view.bracket.images]
         given = CaptureOptions(
             refine_rotations=True, device=self.options.device, threads=self.options.threads
         )
 
         def run(doing: Doing) -> None:
+            output.parent.mkdir(parents=True, exist_ok=True)
             result = capture_shoot(shoot, output, given, self.progress)
             doing.writes += result.paths
             doing.notes += result.notes
 
         self._step(
-            "capture",
-            "merge the photographs to a panorama",
+            f"capture-{light_class}" if light_class else "capture",
+            f"merge the photographs{where} to a panorama",
             self.place.command("capture", shoot, "-o", output, "--refine-rotations"),
             [*used_files(stage), *images],
             run,
@@ -224,18 +262,19 @@ class _RealStreet:
 
     def _light(self) -> None:
         place = self.place
-        capture, camera, output = place["capture.usda"], place["camera.usda"], place["light.usda"]
+        capture, camera, output = place.capture(), place["camera.usda"], place["light.usda"]
+        given, words, reads = estimate_options(place, self.alone)
 
         def run(doing: Doing) -> None:
-            result = estimate_light(capture, camera, output, progress=self.progress)
+            result = estimate_light(capture, camera, output, given, self.progress)
             doing.writes += result.paths
             doing.notes += result.notes
 
         self._step(
             "light",
             "estimate the light",
-            place.command("estimate", "light", capture, "--camera", camera, "-o", output),
-            [capture, camera, place["panorama.exr"], place["stddev.exr"]],
+            place.command("estimate", "light", capture, "--camera", camera, "-o", output, *words),
+            [*reads, camera],
             run,
         )
 
