@@ -247,7 +247,21 @@ def test_command_names_the_variants_that_there_are(tmp_path, capsys):
     words = ["prove", str(tmp_path / "set"), "-o", str(tmp_path / "out"), "--light", str(light)]
 
     assert main([*words, *TINY, "--subject", "horse"]) == 3
-    assert "subject=horse" in capsys.readouterr().err
+    assert "subject=horse; it has ball, missing" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_shot_whose_layers_are_missing_is_refused_before_its_light_is_solved(tmp_path, capsys):
+    light = write_set(tmp_path / "set", ("tubes",))
+    light.unlink()  # that of the set need not be there yet
+    (tmp_path / "set" / "set.usda").write_text("#usda 1.0")
+
+    words = ["prove", str(tmp_path / "set"), "-o", str(tmp_path / "out"), "--subject", "missing"]
+    assert main(words) == 3
+    said = capsys.readouterr().err
+    assert "no_such_head.usda" in said
+    assert said.endswith("restore the missing layer, or choose --subject ball\n")
+    assert not (tmp_path / "out").exists()
 
 
 def test_folder_with_something_else_is_left_alone(tmp_path):
