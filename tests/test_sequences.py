@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from light_stages import write_rgb
 
+from usdskin import compilation
 from usdskin.errors import ImageError
 from usdskin.images import read_image
 from usdskin.progress import SilentProgress
@@ -233,10 +234,19 @@ def found_faces(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     ("moving", "times"), [("rig", 2), ("sky", 2), ("orbit", 3), ("camera", 3), ("body", 3)]
 )
 def test_what_a_camera_that_stands_sees_is_found_no_third_time(
-    moving, times, found_faces, sky, tmp_path
+    moving, times, found_faces, sky, tmp_path, monkeypatch
 ):
+    loaded = set()
+    load = compilation.load
+
+    def noting(module, device):
+        loaded.add(module.__name__.rpartition(".")[2])
+        load(module, device)
+
+    monkeypatch.setattr(compilation, "load", noting)
     render(write_stage(sky, tmp_path, moving), "o", FRAMES, samples=1)
     assert found_faces == [16 * 16] * times
+    assert "first_faces" not in loaded  # by rays, which no picture here needs
 
 
 def test_a_camera_that_stands_and_goes_on_sees_what_is_there(found_faces, sky, tmp_path):

@@ -6,7 +6,7 @@ the picture is the same whatever the tiles, threads or their order.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any
@@ -152,6 +152,40 @@ def device_camera(camera: Camera, resolution: tuple[int, int]) -> structs.Camera
     return rays
 
 
+def _finder(
+    scene: DeviceScene,
+    camera: Camera,
+    resolution: tuple[int, int],
+    offsets: wp.array,
+    rows: int,
+    known: dict[int, wp.array] | None,
+    device: str,
+) -> Callable[[int, int], wp.array]:
+    """Return what gives the first triangle of every sample of a tile, by its first and last pixel.
+
+    On the CPU they are rasterised, unless a triangle crosses the near plane; else met by rays. With
+    a lens every sample has a ray of its own, and they are not found beforehand.
+    """
+    if known:
+        return lambda begin, end: known[begin]
+    if camera.lens_radius > 0.0:
+        return lambda begin, end: wp.empty((0, 0), dtype=wp.int32, device=device)
+    width, rays, faces = resolution[0], device_camera(camera, resolution), scene.faces
+    projection = None
+    if device == "cpu":
+        compilation.load(raster, device)
+        reach = float(np.abs(offsets.numpy()).max())
+        projection = project(faces.points, faces.triangles, camera, resolution, rows, reach, device)
+    if projection is None:
+        compilation.load(first_faces, device)
+        return lambda begin, end: first_faces.find_first_faces(
+            scene.geometry, rays, offsets, begin, end - begin
+        )
+    return lambda begin, end: raster.rasterize_band(
+        projection, offsets, begin // width // rows, width, begin // width, (end - begin) // width
+    )
+
+
 def integrate(
     scene: DeviceScene,
     camera: Camera,
@@ -198,23 +232,8 @@ def integrate(
     on_host = device == "cpu"
     chunk = TILE_PIXELS if on_host else min(GPU_TILE_PIXELS, GPU_TILE_SAMPLES // len(chosen))
     rows = min(max(1, chunk // width), height)
-    projection = None
     found: dict[int, wp.array] = {}
-    is_sharp = camera.lens_radius <= 0.0
-    if on_host and is_sharp and not faces:
-        compilation.load(raster, device)
-        reach = float(np.abs(offsets.numpy()).max())
-        projection = project(
-            scene.faces.points, scene.faces.triangles, camera, resolution, rows, reach, device
-        )
-
-    def first_faces_of(begin: int, end: int) -> wp.array:
-        if projection is None:
-            return first_faces.find_first_faces(scene.geometry, rays, offsets, begin, end - begin)
-        first = begin // width
-        return raster.rasterize_band(
-            projection, offsets, first // rows, width, first, (end - begin) // width
-        )
+    find = _finder(scene, camera, resolution, offsets, rows, faces, device)
 
     def work(begin: int, end: int) -> None:
         if tiles.restored(begin, end):
@@ -223,13 +242,9 @@ def integrate(
         tile.sample = offsets
         tile.first_sample, tile.sample_count = share.first(samples), samples
         tile.first_pixel = begin
-        if not is_sharp:
-            tile.face = wp.empty((0, 0), dtype=wp.int32, device=device)
-        elif faces is None:
-            tile.face = first_faces_of(begin, end)
-        else:
-            found[begin] = faces[begin] if begin in faces else first_faces_of(begin, end)
-            tile.face = wp.clone(found[begin])  # the kernel marks what it has drawn
+        tile.face = find(begin, end)
+        if faces is not None:  # the kernel marks what it has drawn
+            found[begin], tile.face = tile.face, wp.clone(tile.face)
         tile.show_dome = int(show_dome)
         tile.channel = wp.zeros((end - begin, scene.max_rows), dtype=wp.vec4f, device=device)
         if on_host:  # the kernel writes into the picture itself
@@ -245,8 +260,6 @@ def integrate(
             spectrum[begin:end] = tile.spectrum.numpy()
         tiles.finished(begin, end)
 
-    if is_sharp and projection is None:
-        compilation.load(first_faces, device)
     compilation.load(film, device)  # once, before the threads ask for it together
     progress.start(count, "render")
     with keeping(checkpoint, {"xyza": xyza, "spectrum": spectrum}) as tiles:
