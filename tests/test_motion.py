@@ -11,9 +11,9 @@ from usdskin import cli
 from usdskin.errors import LayerError
 from usdskin.images import read_image
 from usdskin.progress import SilentProgress
+from usdskin.render.job import RenderReport
 from usdskin.render.overrides import RenderOverrides
 from usdskin.render.render import render_stage
-from usdskin.render.settings import RenderReport
 
 COLUMNS, ROWS = 40, 8
 PIXEL = 0.05

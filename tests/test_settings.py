@@ -11,9 +11,9 @@ from usdskin.errors import DeviceError, ImageError, LayerError, UsageError
 from usdskin.layers import open_stage
 from usdskin.render import memory
 from usdskin.render.opinions import parse_wavelengths
-from usdskin.render.overrides import apply_overrides
+from usdskin.render.overrides import RenderOverrides, apply_overrides
 from usdskin.render.products import Aov, prepare_folders
-from usdskin.render.settings import RenderOverrides, resolve_settings
+from usdskin.render.settings import resolve_settings
 
 # isort: split
 from pxr import Sdf

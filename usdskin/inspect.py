@@ -116,8 +116,9 @@ def _is_calibrated(prim: Any) -> bool:
 
 def _try_reading(stage: Any, notes: list[Note], problems: list[str]) -> None:
     """Read the stage as a render would, for what it would say; surfaces stay coarse."""
+    from usdskin.render.overrides import RenderOverrides
     from usdskin.render.scene import read_scene
-    from usdskin.render.settings import RenderOverrides, read_settings, resolve_settings
+    from usdskin.render.settings import read_settings, resolve_settings
 
     overrides = RenderOverrides(subdivision_level=0)
     try:

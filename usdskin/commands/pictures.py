@@ -167,8 +167,9 @@ def render(options: GlobalOptions, /, stage: Path, output: Path | None, **given:
     """
     reporter = Reporter(options)
     from usdskin.frames import parse_frames
+    from usdskin.render.opinions import parse_wavelengths
+    from usdskin.render.overrides import RenderOverrides
     from usdskin.render.render import render_stage
-    from usdskin.render.settings import RenderOverrides, parse_wavelengths
 
     if given["no_spectral"] and given["spectral"]:
         raise UsageError("--spectral and --no-spectral exclude each other; give one of them.")
@@ -234,7 +235,8 @@ def map_(options: GlobalOptions, /, light: Path, output: Path, **given: Any) -> 
     """
     reporter = Reporter(options)
     from usdskin.render.map import write_map
-    from usdskin.render.settings import MapOverrides, parse_wavelengths
+    from usdskin.render.opinions import parse_wavelengths
+    from usdskin.render.overrides import MapOverrides
 
     wavelengths = given.pop("wavelengths")
     overrides = MapOverrides(

@@ -19,7 +19,7 @@ from usdskin.progress import JsonProgress, PlainProgress, Progress, SilentProgre
 
 if TYPE_CHECKING:
     from usdskin.notes import Note
-    from usdskin.render.settings import RenderReport
+    from usdskin.render.job import RenderReport
 
 
 class StepResult(Protocol):

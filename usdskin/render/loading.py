@@ -20,12 +20,12 @@ from usdskin.errors import UsageError
 from usdskin.render.cameras import Camera
 from usdskin.render.frame_cache import FrameCache
 from usdskin.render.integrate import DeviceScene, Share
+from usdskin.render.job import RenderReport, RenderSettings
 from usdskin.render.light_maps import LightField
 from usdskin.render.lights import Lights
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.products import Product
 from usdskin.render.scene import Scene, read_scene, scene_white
-from usdskin.render.settings import RenderReport, RenderSettings
 from usdskin.render.transfer import read_transfers
 from usdskin.render.transfer_light import DeviceTransfers, shade_transfers, upload_transfers
 from usdskin.render.uploading import upload

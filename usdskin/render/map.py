@@ -23,6 +23,7 @@ from usdskin.latlong import latlong_directions
 from usdskin.notes import Note
 from usdskin.prims import SkinParameters
 from usdskin.progress import Progress
+from usdskin.render.job import RenderReport, RenderSettings
 from usdskin.render.light_maps import build_light_field
 from usdskin.render.lights import Lights, read_lights
 from usdskin.render.materials import SkinMaterial, read_materials
@@ -31,7 +32,7 @@ from usdskin.render.overrides import MapOverrides, RenderOverrides
 from usdskin.render.preview import render_png
 from usdskin.render.products import prepare_folders
 from usdskin.render.scene import mean_white
-from usdskin.render.settings import RenderReport, RenderSettings, read_settings
+from usdskin.render.settings import read_settings
 from usdskin.render.surface_rows import SpectralFrame, wraps_of
 from usdskin.render.surfaces import band_groups, build_surfaces
 from usdskin.warp_kernels import normals, reflectance_map, structs

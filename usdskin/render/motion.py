@@ -19,9 +19,9 @@ from usdskin.notes import Note
 from usdskin.progress import Progress
 from usdskin.render.cameras import Camera, read_camera
 from usdskin.render.integrate import Picture, Share
+from usdskin.render.job import Frame, RenderSettings
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.products import Product
-from usdskin.render.settings import Frame, RenderSettings
 
 # isort: split
 # After ours, which register the schemas.

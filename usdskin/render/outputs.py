@@ -21,9 +21,9 @@ from usdskin.render.cameras import Camera
 from usdskin.render.checkpoint import Arrays
 from usdskin.render.cryptomatte import matte_parts, metadata
 from usdskin.render.integrate import DeviceScene, Picture
+from usdskin.render.job import RenderSettings
 from usdskin.render.preview import render_png
 from usdskin.render.products import Product
-from usdskin.render.settings import RenderSettings
 
 FloatImage = NDArray[np.float32]
 

@@ -36,6 +36,7 @@ from usdskin.render.integrate import (
     integrate,
     picture_kernels,
 )
+from usdskin.render.job import Frame, RenderJob, RenderReport
 from usdskin.render.loading import Loaded, Loader
 from usdskin.render.motion import (
     Exposure,
@@ -49,7 +50,7 @@ from usdskin.render.opening import opened
 from usdskin.render.outputs import Shot, matte_names, previewing, write_picture
 from usdskin.render.overrides import RenderOverrides
 from usdskin.render.products import Product, prepare_folders
-from usdskin.render.settings import Frame, RenderJob, RenderReport, resolve_settings
+from usdskin.render.settings import resolve_settings
 from usdskin.render.traced_passes import Sampling, sampling_key
 
 # isort: split

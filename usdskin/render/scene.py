@@ -19,6 +19,7 @@ from usdskin.render.frame_cache import FrameCache, Shapes
 from usdskin.render.gprims import ROWS, is_gprim, read_gprim, unsupported_note
 from usdskin.render.instance_meshes import instance_meshes
 from usdskin.render.instancers import InstancerReader, Placed
+from usdskin.render.job import RenderSettings
 from usdskin.render.light_links import LinkTables, read_links
 from usdskin.render.lights import Lights, check_lit, read_lights
 from usdskin.render.local_lights import facing_irradiance
@@ -32,7 +33,6 @@ from usdskin.render.materials import (
     required_primvars,
 )
 from usdskin.render.meshes import MeshArrays, read_mesh
-from usdskin.render.settings import RenderSettings
 from usdskin.render.skinning import PoseReader
 from usdskin.render.surface_rows import SpectralFrame
 from usdskin.render.udim import missing_tile_notes

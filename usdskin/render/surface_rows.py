@@ -15,28 +15,16 @@ from numpy.typing import NDArray
 
 from usdskin.colorimetry import Observer, illuminant, xyz_weights
 from usdskin.errors import LayerError
-from usdskin.prims import SkinParameters
 from usdskin.render.detail import bump_frame, normal_frame
 from usdskin.render.inputs import Input, PrimvarInput, TextureInput
 from usdskin.render.materials import SkinMaterial, SurfaceMaterial
 from usdskin.render.meshes import Frame
-from usdskin.spectrum import Spectrum, resample
+from usdskin.render.passage import Passage, factorised_passage, sampled
+from usdskin.spectrum import resample
 from usdskin.uplift import light_basis, reflectance_basis
 from usdskin.warp_kernels import structs
 
 FloatArray = NDArray[np.float64]
-
-PASSAGE_ENTRIES = 512
-"""Path lengths at which exp(-s delta) is tabulated."""
-
-PASSAGE_TOLERANCE = 1.0e-5
-"""Largest error of its low-rank form, of 1."""
-
-LEAST_CLEAR = 1.0e-4
-"""Share of light that a body is taken to stop altogether."""
-
-NO_LIMIT = 1.0e18
-"""Path length [m] that no body reaches."""
 
 PREVIEW, SKIN, DOME = 0, 1, 2
 """``Materials.kind``."""
@@ -59,26 +47,6 @@ class SpectralFrame:
 
     color_space: str
     """The rendering space, which RGB inputs are in."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Passage:
-    """exp(-s delta(lambda)) = sum_k f_k(s) g_k(lambda), the way of light through a body."""
-
-    table: FloatArray
-    """f_k over log(1 + s / scale) in equal steps from 0, shape [entry_count, rank]."""
-
-    spectra: FloatArray
-    """g_k, shape [rank, bands]."""
-
-    scale: float
-    """Path length below which the table's axis is nearly straight in s [m]."""
-
-    last: float
-    """log(1 + s / scale) of the table's last entry; 0 where the path length is constant."""
-
-    limit: float
-    """Path length beyond which less than ``LEAST_CLEAR`` is left in every band [m]."""
 
 
 @dataclass(slots=True, eq=False)
@@ -158,12 +126,6 @@ def _widens(material: SkinMaterial | SurfaceMaterial) -> bool:
     return lustrous and isinstance(material.normal, TextureInput)
 
 
-def dims(skin: SkinParameters) -> bool:
-    """Return whether a skin's body weakens the light that crosses it."""
-    opacity = skin.opacity
-    return bool(np.max(opacity.value if isinstance(opacity, Spectrum) else opacity) > 0.0)
-
-
 def dome_rows(light: FloatArray) -> MaterialRows:
     """Return what the camera sees of the domes: the light's channels themselves."""
     return MaterialRows(DOME, np.ones((1, light.shape[2])), list(light), len(light))
@@ -189,13 +151,13 @@ def skin_rows(
         row.inputs[structs.INPUT_BASE] = base
     if material.weights_high is not None:
         row.inputs[structs.INPUT_BASE_HIGH] = material.weights_high
-    scattering = _values(skin.scattering, nm, 0.0)
+    scattering = sampled(skin.scattering, nm, 0.0)
     if skin.wrap_normalization == "energy":
         scattering = scattering / (1.0 + skin.wrap)
-    opacity = _values(skin.opacity, nm, 0.0)
+    opacity = sampled(skin.opacity, nm, 0.0)
     passes = [row.bases, row.bases * scattering]
     if opacity.max(initial=0.0) > 0.0:
-        row.passage = _passage(material, opacity, thickness_range)
+        row.passage = factorised_passage(material, opacity, thickness_range)
         passes += [row.bases * scattering * through for through in row.passage.spectra]
         passes += [row.bases * through for through in row.passage.spectra]
     row.receivers = [skin.alpha / np.pi * spectrum for part in passes[:2] for spectrum in part]
@@ -266,49 +228,7 @@ def _skin_bases(material: SkinMaterial, frame: SpectralFrame) -> FloatArray:
         return resample(
             skin.weights_wavelength_nm, skin.weights_basis, frame.wavelength_nm, outside="hold"
         )
-    return _values(skin.reflectance, frame.wavelength_nm, 1.0)[None]
-
-
-def _values(spectrum: Spectrum | float | None, nm: FloatArray, fallback: float) -> FloatArray:
-    if spectrum is None:
-        return np.full(len(nm), fallback)
-    if isinstance(spectrum, Spectrum):
-        return spectrum.resample(nm)
-    return np.full(len(nm), float(spectrum))
-
-
-def _passage(
-    material: SkinMaterial, opacity: FloatArray, thickness_range: dict[str, float]
-) -> Passage:
-    """Factorise exp(-s delta) over the thicknesses in use, by its singular values."""
-    skin = material.parameters
-    largest = thickness_range.get(material.path, 0.0)
-    limit = _limit(opacity)
-    if largest <= 0.0:
-        return Passage(np.ones((1, 1)), np.exp(-skin.thickness * opacity)[None], 1.0, 0.0, limit)
-    # In equal steps of log(1 + s / scale) a band's error does not depend on its opacity.
-    scale = 0.5 / float(opacity.max())
-    last = float(np.log1p(min(largest, 12.0 / float(opacity[opacity > 0.0].min())) / scale))
-    exact = np.exp(-(scale * np.expm1(np.linspace(0.0, last, PASSAGE_ENTRIES)))[:, None] * opacity)
-    left, sizes, right = np.linalg.svd(exact, full_matrices=False)
-    for rank in range(1, len(sizes) + 1):
-        table = left[:, :rank] * sizes[:rank]
-        if np.abs(table @ right[:rank] - exact).max() < PASSAGE_TOLERANCE:
-            break
-    return Passage(table, right[:rank], scale, last, limit)
-
-
-def _limit(opacity: FloatArray) -> float:
-    clearest = float(opacity.min())
-    return -float(np.log(LEAST_CLEAR)) / clearest if clearest > 0.0 else NO_LIMIT
-
-
-def body_reach(material: SkinMaterial | SurfaceMaterial, nm: FloatArray) -> float:
-    """Return the way light is followed through a body [m]; 0 where it is clear or no skin."""
-    if not isinstance(material, SkinMaterial):
-        return 0.0
-    opacity = _values(material.parameters.opacity, nm, 0.0)
-    return _limit(opacity) if opacity.max(initial=0.0) > 0.0 else 0.0
+    return sampled(skin.reflectance, frame.wavelength_nm, 1.0)[None]
 
 
 def preview_rows(

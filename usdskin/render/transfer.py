@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from usdskin.errors import LayerError
 from usdskin.layers import describe
 from usdskin.prims.transfers import SkinTransfer, read_transfer
+from usdskin.render.job import RenderSettings
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.scene import Scene
-from usdskin.render.settings import RenderSettings
 from usdskin.render.transfer_file import MeshTransfer, TransferFile, joined
 from usdskin.render.transfer_identity import geometry_hashes, reaches, scene_hash
 from usdskin.render.transfer_points import places_of, shaded_vertices

@@ -23,13 +23,14 @@ from usdskin.layers import check_output, record_provenance, used_files, write_la
 from usdskin.notes import Note
 from usdskin.prims.transfers import SkinTransfer, write_transfer
 from usdskin.progress import Progress
+from usdskin.render.job import RenderSettings
 from usdskin.render.materials import SkinMaterial
 from usdskin.render.meshes import MeshArrays
 from usdskin.render.opening import opened
 from usdskin.render.overrides import RenderOverrides
+from usdskin.render.passage import body_reach
 from usdskin.render.scene import Scene, read_scene
-from usdskin.render.settings import RenderSettings, read_settings
-from usdskin.render.surface_rows import body_reach
+from usdskin.render.settings import read_settings
 from usdskin.render.transfer_file import MeshTransfer, kept, write_transfers
 from usdskin.render.transfer_identity import geometry_hashes, reaches, scene_hash
 from usdskin.render.transfer_levels import Level, beside, levels_of, rim_of, words_near

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.render.inputs import PrimvarInput, TextureInput
+from usdskin.render.job import RenderSettings
 from usdskin.render.materials import SkinMaterial, SurfaceMaterial
 from usdskin.render.meshes import MeshArrays
+from usdskin.render.passage import body_reach
 from usdskin.render.scene import Scene
-from usdskin.render.settings import RenderSettings
-from usdskin.render.surface_rows import body_reach
 
 
 def geometry_hashes(scene: Scene) -> dict[str, str]:

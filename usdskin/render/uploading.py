@@ -32,8 +32,9 @@ from usdskin.render.materials import (
     required_primvars,
 )
 from usdskin.render.meshes import MeshArrays
+from usdskin.render.passage import dims
 from usdskin.render.scene import Scene
-from usdskin.render.surface_rows import dims, gloss_alphas, wraps_of
+from usdskin.render.surface_rows import gloss_alphas, wraps_of
 from usdskin.render.surfaces import build_surfaces
 from usdskin.warp_kernels import structs
 
