@@ -31,9 +31,10 @@ from usdskin.render.settings import read_settings
 from usdskin.render.transfer import read_transfers
 from usdskin.render.transfer_bake import bake_transfer
 from usdskin.render.transfer_file import joined, kept
-from usdskin.render.transfer_light import project_dome, shade_transfers, upload_transfers
+from usdskin.render.transfer_light import lit_transfers, project_dome, upload_transfers
 from usdskin.render.transfer_sphere import ring_count, transfer_sphere
 from usdskin.render.uploading import upload
+from usdskin.warp_kernels import transfer_gather
 
 # isort: split
 from pxr import Usd
@@ -55,7 +56,7 @@ def changes(path):
     transfers = read_transfers(stage, scene, settings)
     device_scene, light = upload(scene, workers, show_dome=False, measured=True)
     shadows = upload_transfers(transfers, workers.device)
-    shade_transfers(shadows, scene.lights, light, device_scene, workers)
+    lit_transfers(shadows, scene.lights, light, device_scene, workers).light()
     # A white dome has three equal channels: the first one tells it all.
     return scene, transfers, device_scene.geometry.transfer.numpy()[:, :, 0], device_scene, light
 
@@ -381,6 +382,84 @@ def test_frames_with_transfer_are_those_rendered_alone(room):
         assert main([*arguments, str(alone), "-f", str(number), *small]) == 0
         np.testing.assert_array_equal(found, picture(alone))
     assert all((one != other).any() for one, other in pairwise(pictures))
+
+
+PANE = """
+    def Material "Glass"
+    {
+        token outputs:surface.connect = </World/Glass/Surface.outputs:surface>
+        def Shader "Surface"
+        {
+            uniform token info:id = "UsdPreviewSurface"
+            float inputs:opacity = 0.4
+            token outputs:surface
+        }
+    }
+""" + mesh("Pane", [(-0.5, 0.9, 0), (0.1, 0.9, 0), (0.1, 0.9, 0.6), (-0.5, 0.9, 0.6)],
+           [(3, 2, 1, 0)], material="Glass")  # fmt: skip
+
+RELIT = """#usda 1.0
+(
+    metersPerUnit = 1
+    upAxis = "Y"
+    subLayers = [@./relit_stage.usda@]
+)
+over "World"
+{
+    over "Dome"
+    {
+        float3 xformOp:rotateXYZ.timeSamples = {1: (0, 0, 0), 4: (0, 150, 0)}
+    }
+}
+"""
+
+
+def parts(path):
+    """Return every channel of every part of a file."""
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return [
+            {name: channel.pixels.copy() for name, channel in part.channels.items()}
+            for part in file.parts
+        ]
+
+
+@pytest.mark.parametrize("extra", ["", PANE], ids=["opaque", "behind glass"])
+@pytest.mark.parametrize("flags", [[], ["--aov", "irradiance"]], ids=["picture", "irradiance"])
+def test_a_camera_that_stands_lights_what_it_sees_and_it_is_all_there(
+    tmp_path, monkeypatch, extra, flags
+):
+    """From the third frame on; what is seen through glass, or not seen, is lit where asked for."""
+    dome = window_dome(tmp_path / "room.exr")
+    scene = {"dome": dome, "opacity": 40.0, "extra": extra}
+    bake(write_stage(tmp_path / "base.usda", *SCENE, **scene), directions=256)
+    write_stage(tmp_path / "relit_stage.usda", *SCENE, **scene, layers=["transfer.usda"])
+    stage = tmp_path / "relit.usda"
+    stage.write_text(RELIT)
+    lit = []
+    gather = transfer_gather.gather_lamps
+
+    def counting(*arguments):
+        lit.append(arguments[-1] - arguments[-2])
+        gather(*arguments)
+
+    monkeypatch.setattr(transfer_gather, "gather_lamps", counting)
+    arguments = ["-q", "--device", "cpu", "render", str(stage)]
+    small = ["-r", "24", "24", "-p", "4", "--no-png", *flags]
+    assert main([*arguments, str(tmp_path / "together.####.exr"), "-f", "1-4", *small]) == 0
+    together = sum(lit)
+    for number in (1, 2, 3, 4):
+        alone = tmp_path / f"alone.{number:04d}.exr"
+        assert main([*arguments, str(alone), "-f", str(number), *small]) == 0
+        found = parts(tmp_path / f"together.{number:04d}.exr")
+        for one, other in zip(found, parts(alone), strict=True):
+            assert one.keys() == other.keys()
+            for name in one:
+                np.testing.assert_array_equal(one[name], other[name])
+    alone_each = (sum(lit) - together) / 4
+    if extra or flags:
+        assert together == 4 * alone_each
+    else:
+        assert 2.2 * alone_each < together < 3.6 * alone_each
 
 
 def test_a_wall_hides_what_would_be_mirrored(tmp_path):

@@ -57,6 +57,7 @@ def _gather_light_kernel(
     vertices: Vertices,
     flux: wp.array2d[wp.vec4f],
     moment: wp.array2d[wp.vec4f],
+    wanted: wp.array[wp.int32],
     first: wp.int32,
     # Out:
     change_out: wp.array2d[wp.vec4f],
@@ -66,7 +67,7 @@ def _gather_light_kernel(
     Columns of ``change_out`` are passes of ``group_count`` each: J1, J2, then the crossing light
     of J2 and of J1 per term of exp(-s delta).
 
-    Launch dimension: [vertex_count].
+    Launch dimension: [wanted_count].
 
     Args:
         lights: For its wraps.
@@ -77,11 +78,12 @@ def _gather_light_kernel(
         flux: Light of each direction [coefficient sr], shape [group_count, 32 word_count].
         moment: Sum of that over every eight directions, and of its products with x, y and z, shape
             [group_count, 16 word_count].
-        first: The first vertex.
+        wanted: The vertices to light, each once.
+        first: The first of them.
         change_out: To add to the unshadowed integrals [coefficient sr], shape
             [vertex_count, group_count * passes].
     """
-    at = first + wp.tid()
+    at = wanted[first + wp.tid()]
     m = vertices.material[at]
     row = vertices.row[at]
     normal = vertices.normal[at]
@@ -158,13 +160,14 @@ def _gather_lamps_kernel(
     measured: Measured,
     vertices: Vertices,
     sets: LampSets,
+    wanted: wp.array[wp.int32],
     first: wp.int32,
     # Out:
     change_out: wp.array2d[wp.vec4f],
 ):
     """Add what lamps lack at a vertex, by rays towards them.
 
-    Launch dimension: [vertex_count].
+    Launch dimension: [wanted_count].
 
     Args:
         geometry: The scene.
@@ -173,10 +176,11 @@ def _gather_lamps_kernel(
         measured: Where the rays start.
         vertices: What is lit.
         sets: Which lamps.
-        first: The first vertex.
+        wanted: The vertices to light, each once.
+        first: The first of them.
         change_out: As of ``_gather_light_kernel``.
     """
-    at = first + wp.tid()
+    at = wanted[first + wp.tid()]
     m = vertices.material[at]
     row = vertices.row[at]
     normal = vertices.normal[at]
@@ -270,15 +274,16 @@ def gather_light(
     vertices: Vertices,
     flux: wp.array,
     moment: wp.array,
+    wanted: wp.array,
     change: wp.array,
     begin: int,
     end: int,
 ) -> None:
-    """Add what smooth light lacks to vertices ``begin`` to ``end`` of ``change``."""
+    """Add what smooth light lacks to vertices ``begin`` to ``end`` of ``wanted``."""
     wp.launch(
         _gather_light_kernel,
         dim=end - begin,
-        inputs=[lights, materials, directions, measured, vertices, flux, moment, begin],
+        inputs=[lights, materials, directions, measured, vertices, flux, moment, wanted, begin],
         outputs=[change],
         device=change.device,
     )
@@ -291,15 +296,16 @@ def gather_lamps(
     measured: Measured,
     vertices: Vertices,
     sets: LampSets,
+    wanted: wp.array,
     change: wp.array,
     begin: int,
     end: int,
 ) -> None:
-    """Add what lamps lack to vertices ``begin`` to ``end`` of ``change``."""
+    """Add what lamps lack to vertices ``begin`` to ``end`` of ``wanted``."""
     wp.launch(
         _gather_lamps_kernel,
         dim=end - begin,
-        inputs=[geometry, lights, materials, measured, vertices, sets, begin],
+        inputs=[geometry, lights, materials, measured, vertices, sets, wanted, begin],
         outputs=[change],
         device=change.device,
     )

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from usdskin.device import copied
 from usdskin.notes import Note
 from usdskin.render.changes import EVERYTHING, Changes
+from usdskin.render.integrate import FirstFaces
 from usdskin.render.light_maps import LightField, stand_domes
 from usdskin.render.lights import Lights, only_turned, turn_lights
 from usdskin.render.materials import SkinMaterial, SurfaceMaterial
@@ -58,7 +59,7 @@ class FrameCache:
     _surfaces: Surfaces | None = None
     _surfaces_for: Any = None
     _of_lights: dict[str, tuple[Lights, Any]] = field(default_factory=dict)
-    _first_faces: dict[Hashable, tuple[tuple[object, ...], dict[int, Any]]] = field(
+    _first_faces: dict[Hashable, tuple[tuple[object, ...], FirstFaces]] = field(
         default_factory=dict
     )
 
@@ -169,8 +170,8 @@ class FrameCache:
 
     def first_faces(
         self, scene: Scene, picture: Hashable, view: tuple[object, ...], samples: int
-    ) -> dict[int, Any] | None:
-        """Return what keeps the first triangles of a picture's samples, by tile.
+    ) -> FirstFaces | None:
+        """Return what keeps the first triangles of a picture's samples.
 
         None where the frame before saw the scene otherwise, and of pictures too large.
 
@@ -182,10 +183,10 @@ class FrameCache:
         """
         if not self._is_shaped(scene) or samples > MOST_FACES:
             return None
-        before, kept = self._first_faces.get(picture, (None, {}))
-        if before == view:
-            return kept
-        self._first_faces[picture] = view, {}
+        known = self._first_faces.get(picture)
+        if known is not None and known[0] == view:
+            return known[1]
+        self._first_faces[picture] = view, FirstFaces()
         return None
 
     # --- Keeping ---------------------------------------------------------------------------------

@@ -97,6 +97,25 @@ class Share:
 WHOLE = Share(0, 1)
 
 
+@dataclass(slots=True, eq=False)
+class FirstFaces:
+    """The first triangle of every sample of a picture, from one frame to the next."""
+
+    tiles: dict[int, wp.array] = field(default_factory=dict)
+    """By a tile's first pixel, -1 for none, shape [pixels, samples]; empty until they are known."""
+
+    _triangles: NDArray[np.bool_] | None = None
+
+    def triangles(self, count: int) -> NDArray[np.bool_] | None:
+        """Return which of ``count`` triangles are among them, None before they are known."""
+        if self._triangles is None and self.tiles:
+            found = np.zeros(count + 1, np.bool_)  # the last for samples that meet none
+            for face in self.tiles.values():
+                found[face.numpy().ravel()] = True
+            self._triangles = found[:-1]
+        return self._triangles
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
     """One rendered picture."""
@@ -158,7 +177,7 @@ def _finder(
     resolution: tuple[int, int],
     offsets: wp.array,
     rows: int,
-    known: dict[int, wp.array] | None,
+    known: FirstFaces | None,
     device: str,
 ) -> Callable[[int, int], wp.array]:
     """Return what gives the first triangle of every sample of a tile, by its first and last pixel.
@@ -166,8 +185,8 @@ def _finder(
     On the CPU they are rasterised, unless a triangle crosses the near plane; else met by rays. With
     a lens every sample has a ray of its own, and they are not found beforehand.
     """
-    if known:
-        return lambda begin, end: known[begin]
+    if known is not None and known.tiles:
+        return lambda begin, end: known.tiles[begin]
     if camera.lens_radius > 0.0:
         return lambda begin, end: wp.empty((0, 0), dtype=wp.int32, device=device)
     width, rays, faces = resolution[0], device_camera(camera, resolution), scene.faces
@@ -199,7 +218,7 @@ def integrate(
     show_dome: bool,
     checkpoint: Checkpoint | None = None,
     share: Share = WHOLE,
-    faces: dict[int, wp.array] | None = None,
+    faces: FirstFaces | None = None,
 ) -> Picture:
     """Render a picture.
 
@@ -215,9 +234,8 @@ def integrate(
         show_dome: Whether the domes are seen behind the surfaces.
         checkpoint: Keeps what is finished; None keeps nothing.
         share: Which of the samples to take.
-        faces: First triangle of every sample, by a tile's first pixel, of a picture of the same
-            geometry from the same camera: taken where they are there, else put there. None keeps
-            nothing.
+        faces: Of a picture of the same geometry from the same camera: taken where they are known,
+            else put there. None keeps nothing.
     """
     width, height = resolution
     count = width * height
@@ -266,7 +284,7 @@ def integrate(
         workers.run(count, rows * width, work, progress.advance)
     progress.done()
     if faces is not None and len(found) == -(-height // rows):  # of tiles restored, none are known
-        faces.update(found)
+        faces.tiles = found
     return Picture(
         xyza.reshape(height, width, 4),
         spectrum.reshape(height, width, -1)[:, :, :bands] if spectral else None,

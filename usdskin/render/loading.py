@@ -19,7 +19,7 @@ from usdskin.device import Workers
 from usdskin.errors import UsageError
 from usdskin.render.cameras import Camera
 from usdskin.render.frame_cache import FrameCache
-from usdskin.render.integrate import DeviceScene, Share
+from usdskin.render.integrate import DeviceScene, FirstFaces, Share
 from usdskin.render.job import RenderReport, RenderSettings
 from usdskin.render.light_maps import LightField
 from usdskin.render.lights import Lights
@@ -27,7 +27,12 @@ from usdskin.render.meshes import MeshArrays
 from usdskin.render.products import Product
 from usdskin.render.scene import Scene, read_scene, scene_white
 from usdskin.render.transfer import read_transfers
-from usdskin.render.transfer_light import DeviceTransfers, shade_transfers, upload_transfers
+from usdskin.render.transfer_light import (
+    DeviceTransfers,
+    LitTransfers,
+    lit_transfers,
+    upload_transfers,
+)
 from usdskin.render.uploading import upload
 
 # isort: split
@@ -55,6 +60,9 @@ class Loaded:
     traced: TracedLights | None
     """What rays are sent to, where light is traced."""
 
+    shadows: LitTransfers | None
+    """Baked ones under the lights, where there are some; see ``Loader.light_shadows``."""
+
 
 class Loader:
     """Reads scenes, and keeps what the next one may need."""
@@ -71,7 +79,9 @@ class Loader:
         self._workers, self._report, self._cache = workers, report, cache
         self._last: tuple[Usd.TimeCode, Loaded] | None = None
         self._baked: tuple[tuple[MeshArrays, ...], DeviceTransfers | None] | None = None
-        self._shadows: tuple[tuple[MeshArrays, ...], Lights, dict[str, Any]] | None = None
+        self._shadows: (
+            tuple[tuple[MeshArrays, ...], Lights, dict[str, Any], LitTransfers] | None
+        ) = None
 
     def forget(self) -> None:
         """Keep nothing: a frame failed, and its parts may not belong together."""
@@ -113,19 +123,20 @@ class Loader:
                 lambda found, lights: turn_traced_lights(found, lights, device),
             )
         begun = _lap(seconds, "bake", begun)
+        shadows = None
         if baked is not None:
-            self._shade(baked, scene, light, device_scene)
+            shadows = self._lit(baked, scene, light, device_scene)
             begun = _lap(seconds, "shadows", begun)
         compilation.finish()
         _lap(seconds, "compile", begun)
-        loaded = Loaded(scene, device_scene, white, rays)
+        loaded = Loaded(scene, device_scene, white, rays, shadows)
         if keep:
             self._last = time, loaded
         return loaded
 
     def first_faces(
         self, seen: Loaded, camera: Camera, product: Product, share: Share
-    ) -> dict[int, Any] | None:
+    ) -> FirstFaces | None:
         """Return what keeps the first triangles of a picture, where one may see the same again."""
         samples = math.prod(product.resolution) * self._settings.samples_per_pixel
         picture = product.camera, product.resolution
@@ -147,19 +158,28 @@ class Loader:
             self._baked = scene.meshes, there
         return self._baked[1]
 
-    def _shade(
+    def light_shadows(self, seen: Loaded, faces: FirstFaces | None = None) -> None:
+        """Have the baked shadows ready that a picture shows: all, or those of its first faces."""
+        if seen.shadows is not None:
+            begun = clock.perf_counter()
+            count = len(seen.device_scene.faces.triangles)
+            seen.shadows.light(None if faces is None else faces.triangles(count))
+            _lap(self._report.seconds, "shadows", begun)
+
+    def _lit(
         self, baked: DeviceTransfers, scene: Scene, light: LightField, device_scene: DeviceScene
-    ) -> None:
-        """Put the shadows under the lights, or take them over where neither has changed."""
+    ) -> LitTransfers:
+        """Return the shadows under the lights, or take them over where neither has changed."""
         geometry = device_scene.geometry
         known = self._shadows
         if known is not None and known[0] is scene.meshes and known[1] is scene.lights:
             for name, value in known[2].items():
                 setattr(geometry, name, value)
-            return
-        shade_transfers(baked, scene.lights, light, device_scene, self._workers)
+            return known[3]
+        lit = lit_transfers(baked, scene.lights, light, device_scene, self._workers)
         fields = {name: getattr(geometry, name) for name in _SHADOW_FIELDS}
-        self._shadows = scene.meshes, scene.lights, fields
+        self._shadows = scene.meshes, scene.lights, fields, lit
+        return lit
 
 
 def _lap(seconds: dict[str, float], part: str, begun: float) -> float:

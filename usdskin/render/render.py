@@ -217,6 +217,8 @@ def _render_product(
     ) -> Picture:
         spectral, show_dome = product.spectral is not None, settings.dome == "show"
         if seen.traced is None:
+            faces = loader.first_faces(seen, camera, product, share)
+            loader.light_shadows(seen, faces)
             return integrate(
                 seen.device_scene,
                 camera,
@@ -229,7 +231,7 @@ def _render_product(
                 show_dome=show_dome,
                 checkpoint=checkpoint,
                 share=share,
-                faces=loader.first_faces(seen, camera, product, share),
+                faces=faces,
             )
         from usdskin.render.traced import integrate_traced
 
@@ -255,13 +257,13 @@ def _render_product(
             checkpoint=checkpoint,
         )
 
+    before = _loading(seconds)
     if exposure is None:
         picture = shoot(loaded, camera, progress, checkpoint=checkpoint)
     else:
         if overrides.resume or overrides.snapshot_s:
             report.notes.append(unkept_note(checkpoint.path))
         whole = SharedProgress(progress, len(exposure.cameras))
-        before = sum(seconds.values())
 
         def moments() -> Iterator[Picture]:
             for share, time, seen_from in exposure.shares():
@@ -272,9 +274,10 @@ def _render_product(
                 yield shoot(seen, seen_from, whole, share)
 
         picture = mean_picture(moments(), len(exposure.cameras))
-        begun += sum(seconds.values()) - before  # reading scenes is counted as such
     data: dict[str, NDArray[Any]] = {}
     if sources - set(TRACED_SOURCES) - set(MATTES):
+        if "irradiance" in sources:
+            loader.light_shadows(loaded)
         from usdskin.render.pixel_data import collect_data
 
         data |= collect_data(
@@ -292,6 +295,7 @@ def _render_product(
             matte_names(shot),
             workers,
         )
+    begun += _loading(seconds) - before  # counted as such
     _lap(seconds, "render", begun)
     faces = replace(device_scene, keep=())  # what is drawn next need not share the memory
 
@@ -305,6 +309,11 @@ def _render_product(
 
     arrays = (picture.xyza, picture.spectrum, *picture.extra.values(), *data.values())
     writer.put(frame.number, sum(each.nbytes for each in arrays if each is not None), write)
+
+
+def _loading(seconds: dict[str, float]) -> float:
+    """Return the time that the loader took, of all frames so far [s]."""
+    return sum(seconds.get(part, 0.0) for part in ("read", "bake", "shadows", "compile"))
 
 
 def _lap(seconds: dict[str, float], part: str, begun: float) -> float:

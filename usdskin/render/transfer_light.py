@@ -1,12 +1,13 @@
 """Baked shadows in a picture: measurements of a stage, under the light of a frame.
 
-Reads: ``Transfers``, copied to a device once (``upload_transfers``), and ``Lights``. Makes: what
-each vertex's diffuse light lacks (``shade_transfers``, once per light), and the map integrator adds
-it to what its maps give. A camera costs nothing.
+Reads: ``Transfers``, copied to a device once (``upload_transfers``), and ``Lights``. Makes:
+``LitTransfers``: what each vertex's diffuse light lacks, once per light and where a picture shows
+it, and the map integrator adds it to what its maps give. A camera costs nothing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -82,13 +83,54 @@ def upload_transfers(transfers: Transfers, device: str) -> DeviceTransfers:
     )
 
 
-def shade_transfers(
+@dataclass(frozen=True, slots=True, eq=False)
+class LitTransfers:
+    """The baked shadows of a scene under its lights, of the vertices that were asked for so far."""
+
+    gather: Callable[[wp.array, int, int], None]
+    """Lights a range of some vertices."""
+
+    corner_vertex: NDArray[np.int64]
+    """Vertex of every corner, -1 where there is none, shape [3 triangle_count]."""
+
+    is_lit: NDArray[np.bool_]
+    """Shape [vertex_count]."""
+
+    is_opaque: bool
+    """Whether no triangle lets others be seen through it."""
+
+    workers: Workers
+
+    def light(self, triangles: NDArray[np.bool_] | None = None) -> None:
+        """Light the vertices that a picture interpolates between; those that are lit stay.
+
+        Args:
+            triangles: Which ones are the first that some sample meets, shape [triangle_count]; None
+                where nobody knows, for all vertices.
+        """
+        wanted = ~self.is_lit
+        if triangles is not None and self.is_opaque:
+            seen = np.zeros(len(wanted) + 1, np.bool_)  # the last for corners without a vertex
+            seen[self.corner_vertex.reshape(-1, 3)[triangles]] = True
+            wanted &= seen[:-1]
+        count, device = np.count_nonzero(wanted), self.workers.device
+        if count:
+            vertices = wp.array(np.flatnonzero(wanted), dtype=wp.int32, device=device)
+            self.workers.run(
+                count,
+                _CHUNK if device == "cpu" else count,
+                lambda begin, end: self.gather(vertices, begin, end),
+            )
+            self.is_lit[wanted] = True
+
+
+def lit_transfers(
     transfers: DeviceTransfers,
     lights: Lights,
     light: LightField,
     scene: DeviceScene,
     workers: Workers,
-) -> None:
+) -> LitTransfers:
     """Put a scene's baked shadows under its lights, for the map integrator to add.
 
     Args:
@@ -97,6 +139,9 @@ def shade_transfers(
         light: The same, as they were baked.
         scene: The scene on the device, baked with ``measured``; its geometry gets the shadows.
         workers: Where to compute.
+
+    Returns:
+        The shadows, of no vertex yet.
     """
     device = workers.device
     compilation.load(transfer_gather, device)
@@ -127,17 +172,16 @@ def shade_transfers(
     lamps.solid = int(is_solid(scene.geometry, scene.materials))
     device_flux, moment = vec4(flux, device), vec4(_moments(flux, transfers.sphere), device)
 
-    def work(begin: int, end: int) -> None:
+    def gather(vertices: wp.array, begin: int, end: int) -> None:
         transfer_gather.gather_light(
             light.device_lights, scene.materials, transfers.directions, transfers.measured,
-            transfers.vertices, device_flux, moment, change, begin, end,
+            transfers.vertices, device_flux, moment, vertices, change, begin, end,
         )  # fmt: skip
         transfer_gather.gather_lamps(
             scene.geometry, light.device_lights, scene.materials, transfers.measured,
-            transfers.vertices, lamps, change, begin, end,
+            transfers.vertices, lamps, vertices, change, begin, end,
         )  # fmt: skip
 
-    workers.run(count, _CHUNK if device == "cpu" else count, work)
     scene.geometry.transfer_vertex = transfers.corner_vertex
     scene.geometry.transfer = change
     ring = np.insert(np.cumsum(transfers.sphere.counts), 0, 0).astype(np.int32)
@@ -147,6 +191,8 @@ def shade_transfers(
     scene.geometry.seen_ring = wp.array(ring, dtype=wp.int32, device=device)
     scene.geometry.seen_order = wp.array(order, dtype=wp.int32, device=device)
     scene.geometry.seen_axes = wp.mat33f(*transfers.sphere.axes.astype(np.float32).ravel().tolist())
+    corner_vertex, is_lit = transfers.corner_vertex.numpy(), np.zeros(count, np.bool_)
+    return LitTransfers(gather, corner_vertex, is_lit, bool(lamps.solid), workers)
 
 
 def project_dome(
