@@ -15,10 +15,14 @@ COLUMNS = ("", "seconds", "peak memory", "times the first", "")
 SAMPLES = 16
 
 
-def sections(bench: Bench, size: int) -> tuple[list[Section], dict[str, list[tuple[float, float]]]]:
+Curves = dict[str, list[tuple[float, float, float]]]
+"""Amount, seconds and peak memory [MB] of every picture, by what grows."""
+
+
+def sections(bench: Bench, size: int) -> tuple[list[Section], Curves]:
     """Measure pictures of a size; return the tables, and the points of each curve."""
     title = f"{size} x {size}, {SAMPLES} spp"
-    curves: dict[str, list[tuple[float, float]]] = {}
+    curves: Curves = {}
     found = []
 
     def table(name: str, what: str, cases: list[tuple[str, float, Path, dict]]) -> None:
@@ -36,7 +40,7 @@ def sections(bench: Bench, size: int) -> tuple[list[Section], dict[str, list[tup
                 rows.append(Row(label, "", "", "", "not run: this kind of lamp is not lit here"))
                 continue
             seconds = middle(result, "pixels")
-            points.append((amount, seconds))
+            points.append((amount, seconds, result["peak_mb"]))
             times = f"{seconds / points[0][1]:.2f}x"
             rows.append(Row(label, f"{seconds:.3f} s", f"{result['peak_mb']:.0f} MB", times))
         if points:
@@ -81,30 +85,32 @@ def _grid(count: int) -> list[float]:
     return [400.0 + 300.0 * k / (count - 1) for k in range(count)]
 
 
-def plot(curves: dict[str, list[tuple[float, float]]], path: Path) -> None:
-    """Draw seconds over triangles, lamps, bands and threads to a PNG."""
+def plot(curves: Curves, path: Path) -> None:
+    """Draw seconds and memory over triangles, lamps, bands and threads to a PNG."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(1, 4, figsize=(13.0, 3.2), layout="constrained")
+    figure, grid = pyplot.subplots(2, 4, figsize=(13.0, 5.6), sharex="col", layout="constrained")
     panels = (("triangles",), ("distant lamps", "rect lamps"),
               ("bands", "bands, all of them written"), ("threads",))  # fmt: skip
-    for axis, names in zip(axes, panels, strict=True):
-        for name in names:
-            if name in curves:
-                amounts, seconds = zip(*curves[name], strict=True)
-                axis.plot(amounts, seconds, "o-", label=name)
-        amounts = sorted({amount for name in names for amount, _ in curves.get(name, [])})
+    for row, label in enumerate(("seconds to pixels", "peak memory [MB]"), start=1):
+        for axis, names in zip(grid[row - 1], panels, strict=True):
+            for name in names:
+                if name in curves:
+                    points = list(zip(*curves[name], strict=True))
+                    axis.plot(points[0], points[row], "o-", label=name)
+            axis.set_ylim(0.0, 1.1 * axis.get_ylim()[1])
+            axis.grid(alpha=0.3)
+            if row == 1 and len(names) > 1:
+                axis.legend(fontsize=8)
+        grid[row - 1][0].set_ylabel(label)
+    for axis, names in zip(grid[1], panels, strict=True):
+        amounts = sorted({point[0] for name in names for point in curves.get(name, [])})
         axis.set_xscale("log")
         axis.set_xticks(amounts, [f"{amount:,.0f}" for amount in amounts], fontsize=8)
         axis.minorticks_off()
-        axis.set_ylim(0.0, 1.1 * axis.get_ylim()[1])
         axis.set_xlabel(names[0].split()[-1])
-        axis.grid(alpha=0.3)
-        if len(names) > 1:
-            axis.legend(fontsize=8)
-    axes[0].set_ylabel("seconds to pixels")
     figure.savefig(path, dpi=110)
     pyplot.close(figure)
