@@ -9,6 +9,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import OpenEXR
@@ -343,6 +344,21 @@ def test_disk_without_room_for_the_spectra_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(memory.os, "posix_fallocate", full)
     with pytest.raises(DeviceError, match="No space left on device"):
         render(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_is_not_filled_to_find_that_there_is_no_room(tmp_path, monkeypatch):
+    from usdskin.errors import DeviceError
+    from usdskin.render import memory
+
+    reserved = []
+    nearly_full = SimpleNamespace(free=50_000)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 1_000_000)
+    monkeypatch.setattr(memory.shutil, "disk_usage", lambda _: nearly_full)
+    monkeypatch.setattr(memory.os, "posix_fallocate", lambda *given: reserved.append(given))
+    with pytest.raises(DeviceError, match=r"GiB of spectra.*No space left on device.*make the"):
+        render(tmp_path)
+    assert not reserved
     assert list(tmp_path.iterdir()) == []
 
 

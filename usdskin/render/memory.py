@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
+import shutil
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +22,9 @@ _AOV_CHANNELS = {"Z": 1, "primId": 1, "st": 2, "crypto_object": 12, "crypto_mate
 _BYTES = 4
 _LARGEST_SHARE = 0.25
 """Of the free memory; larger spectra are kept on disk."""
+
+_DISK_SHARE = 0.8
+"""Of the free space of a disk: its other users need some too."""
 
 _BEAUTY_CHANNELS = 8
 """Accumulated XYZ and alpha, and the RGBA that is written."""
@@ -79,6 +84,9 @@ def pixel_zeros(
     if folder is None or not _too_large(size, available_bytes()):
         return np.zeros(shape, np.float32)
     try:
+        # Reserving more than there is would fill the disk before it fails.
+        if size > _DISK_SHARE * shutil.disk_usage(folder).free:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         with tempfile.TemporaryFile(dir=folder) as file:
             os.posix_fallocate(file.fileno(), 0, size)
             return np.memmap(file, np.float32, "r+", shape=shape)
