@@ -424,7 +424,15 @@ def parts(path):
 
 
 @pytest.mark.parametrize("extra", ["", PANE], ids=["opaque", "behind glass"])
-@pytest.mark.parametrize("flags", [[], ["--aov", "irradiance"]], ids=["picture", "irradiance"])
+@pytest.mark.parametrize(
+    "flags",
+    [
+        [],
+        ["--aov", "irradiance"],
+        ["--set", "/World/Camera.fStop=2", "--set", "/World/Camera.focusDistance=3"],
+    ],
+    ids=["picture", "irradiance", "lens"],
+)
 def test_a_camera_that_stands_lights_what_it_sees_and_it_is_all_there(
     tmp_path, monkeypatch, extra, flags
 ):

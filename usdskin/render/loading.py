@@ -138,6 +138,8 @@ class Loader:
         self, seen: Loaded, camera: Camera, product: Product, share: Share
     ) -> FirstFaces | None:
         """Return what keeps the first triangles of a picture, where one may see the same again."""
+        if camera.lens_radius > 0.0:
+            return None  # every sample looks from a place of its own
         samples = math.prod(product.resolution) * self._settings.samples_per_pixel
         picture = product.camera, product.resolution
         return self._cache.first_faces(seen.scene, picture, (*camera.rays(), share), samples)
