@@ -113,7 +113,7 @@ class LitTransfers:
             seen = np.zeros(len(wanted) + 1, np.bool_)  # the last for corners without a vertex
             seen[self.corner_vertex.reshape(-1, 3)[triangles]] = True
             wanted &= seen[:-1]
-        count, device = np.count_nonzero(wanted), self.workers.device
+        count, device = int(np.count_nonzero(wanted)), self.workers.device
         if count:
             vertices = wp.array(np.flatnonzero(wanted), dtype=wp.int32, device=device)
             self.workers.run(
