@@ -1,7 +1,9 @@
-"""What the scripts of the sets share: parts of a set's layer, and reflectances by formula.
+"""What the scripts of the sets share: parts of a set's layer, and measured reflectances.
 
 A set is what docs/sets.md says: planar quads with Lambertian reflectances, lamps with spectra in
-absolute units, and the capture point.
+absolute units, and the capture point. Reflectances are measured ones: ``reflectances.csv`` has
+materials of the USGS Spectral Library, colour-science has CIE's Munsell papers. No estimator, prior or
+chart of usdskin has seen them.
 """
 
 from __future__ import annotations
@@ -41,25 +43,16 @@ _CORNERS = {
 # --- Reflectances ------------------------------------------------------------------------------
 
 
-def rise(edge_nm: float, width_nm: float) -> FloatArray:
-    """Return a step up at a wavelength, shape [band_count]."""
-    return np.asarray(1.0 / (1.0 + np.exp((edge_nm - WAVELENGTH_NM) / width_nm)))
+def measured(sample: str) -> FloatArray:
+    """Return a sample of ``reflectances.csv`` by its number there, shape [band_count]."""
+    table = np.genfromtxt(Path(__file__).with_name("reflectances.csv"), delimiter=",", names=True)
+    return np.asarray(table[sample], dtype=np.float64)
 
 
-def bump(center_nm: float, width_nm: float) -> FloatArray:
-    """Return a bell around a wavelength, shape [band_count]."""
-    return np.asarray(np.exp(-0.5 * ((WAVELENGTH_NM - center_nm) / width_nm) ** 2))
-
-
-def even(value: float) -> FloatArray:
-    """Return the same reflectance at every wavelength, shape [band_count]."""
-    return np.full(WAVELENGTH_NM.size, value)
-
-
-def sample(name: str) -> FloatArray:
-    """Return a CIE test-colour sample (CIE 13.3-1995, measured), shape [band_count]."""
-    measured = SDS_TCS["CIE 1995"][name]
-    return np.interp(WAVELENGTH_NM, measured.wavelengths, measured.values)
+def munsell(number: int) -> FloatArray:
+    """Return a test-colour sample of CIE 13.3-1995, a painted paper, shape [band_count]."""
+    paper = SDS_TCS["CIE 1995"][f"TCS{number:02}"]
+    return np.interp(WAVELENGTH_NM, paper.wavelengths, paper.values)
 
 
 # --- Lamps -------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 A hall of 20 x 12 x 7 m: boarded floor, panelled walls, plaster above, a stage with a red curtain
 at one end, a gallery along one side. Twenty-eight opal globes with incandescent lamps (CIE
 illuminant A, from colour-science's tables as usdskin ships them) hang in four rings and a row.
-The curtain and the carpet are CIE test-colour samples (CIE 13.3-1995), the rest formulas in here.
+Reflectances are measured: materials of the USGS Spectral Library.
 
 Writes: ``set.usda``. It is committed; run this after a change.
 """
@@ -18,7 +18,7 @@ import numpy as np
 FOLDER = Path(__file__).resolve().parent
 sys.path.append(str(FOLDER.parent))
 
-from set_layers import add_light, box, even, lamp_radiance, new_set, rise, sample, write_set  # noqa: E402
+from set_layers import add_light, box, lamp_radiance, measured, new_set, write_set  # noqa: E402
 
 # isort: split
 # After ours, which register the schemas.
@@ -39,12 +39,12 @@ ROW = tuple((x, 2.3, -5.7) for x in (-7.0, -3.0, 1.0, 5.0))
 """Globes on brackets along one wall [m]."""
 
 REFLECTANCES = {
-    "plaster": 0.06 + 0.44 * rise(405.0, 9.0) + 0.24 * rise(490.0, 45.0),
-    "boards": 0.05 + 0.16 * rise(560.0, 45.0) + 0.18 * rise(640.0, 45.0),
-    "panels": 0.04 + 0.10 * rise(570.0, 40.0) + 0.16 * rise(650.0, 40.0),
-    "curtain": sample("TCS09"),
-    "carpet": sample("TCS12"),
-    "black": even(0.035),
+    "plaster": measured("GDS796"),  # lead white
+    "boards": measured("GDS363"),  # pine
+    "panels": measured("GDS357"),  # cedar
+    "curtain": measured("GDS431"),  # red nylon
+    "carpet": measured("GDS535"),  # light brown nylon
+    "black": measured("GDS341"),  # ABS
 }
 
 

@@ -2,8 +2,8 @@
 
 A room of 5.6 x 6 x 2.7 m with four fluorescent tubes (CIE FL2) on the right of who sits there and
 a window on the left, through which an even sky shines (CIE daylight of 7500 K, D75): a uniform
-portal. Both spectra are usdskin's tables of CIE illuminants. The furniture has CIE test-colour
-samples (CIE 13.3-1995); paint and wood are formulas in here.
+portal. Both spectra are usdskin's tables of CIE illuminants. Reflectances are measured: materials of
+the USGS Spectral Library.
 
 Writes: ``set.usda``. It is committed; run this after a change.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 FOLDER = Path(__file__).resolve().parent
 sys.path.append(str(FOLDER.parent))
 
-from set_layers import add_light, box, even, lamp_radiance, new_set, rise, sample, write_set  # noqa: E402
+from set_layers import add_light, box, lamp_radiance, measured, new_set, write_set  # noqa: E402
 
 # isort: split
 # After ours, which register the schemas.
@@ -31,14 +31,14 @@ TUBE_LUMINANCE, TUBE_RADIUS, TUBE_LENGTH = 9000.0, 0.013, 1.2  # T8
 TUBES = ((0.8, 2.6, 1.2), (2.1, 2.6, 1.2), (0.8, 2.6, -0.4), (2.1, 2.6, -0.4))
 
 REFLECTANCES = {
-    "ceiling": 0.05 + 0.77 * rise(400.0, 7.0),
-    "wall": 0.05 + 0.46 * rise(405.0, 9.0) + 0.16 * rise(495.0, 40.0),
-    "floor": 0.08 + 0.14 * rise(550.0, 50.0) + 0.12 * rise(640.0, 40.0),
-    "frame": 0.05 + 0.70 * rise(402.0, 8.0),
-    "oak": 0.09 + 0.24 * rise(560.0, 45.0) + 0.16 * rise(640.0, 40.0),
-    "black": even(0.035),
-    "chair": sample("TCS03"),
-    "cloth": sample("TCS07"),
+    "ceiling": measured("GDS335"),  # white fiberglass
+    "wall": measured("GDS333"),  # paint, light gray
+    "floor": measured("GDS363"),  # pine
+    "frame": measured("GDS372"),  # white vinyl
+    "wood": measured("GDS365"),  # pine plywood
+    "black": measured("GDS341"),  # ABS
+    "chair": measured("GDS537"),  # yellow terrycloth
+    "cloth": measured("GDS433"),  # blue nylon
 }
 
 
@@ -56,8 +56,8 @@ def surfaces() -> dict:
         "wallLeft": ("wall", wall),
         "reveal": ("frame", box((x - 0.15, y0, z0), (x, y1, z1), "-y +y -z +z", inside=True)),
         "mullion": ("frame", box((x - 0.10, y0, 0.17), (x - 0.04, y1, 0.23), "-x +x -z +z")),
-        "table": ("oak", box((0.7, 0.68, -2.9), (2.3, 0.73, -2.0))),
-        "tableLegs": ("oak", box((0.8, 0.0, -2.8), (0.86, 0.68, -2.1), "-x +x -z +z")
+        "table": ("wood", box((0.7, 0.68, -2.9), (2.3, 0.73, -2.0))),
+        "tableLegs": ("wood", box((0.8, 0.0, -2.8), (0.86, 0.68, -2.1), "-x +x -z +z")
                       + box((2.14, 0.0, -2.8), (2.2, 0.68, -2.1), "-x +x -z +z")),
         "shelf": ("black", box((-2.4, 0.0, -3.15), (-1.0, 1.8, -2.85), "-x +x +y +z")),
         "chair": ("chair", box((1.6, 0.05, 1.7), (2.4, 0.45, 2.5))),

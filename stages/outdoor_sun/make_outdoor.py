@@ -11,6 +11,8 @@ illuminance of a clear sky (IES Lighting Handbook: 0.8 + 15.5 sqrt(sin h) klx); 
 CIE daylight, whose color temperature follows luminance as Chain, Dumortier and Fontoynont (1999,
 Solar Energy 65) measured under that sky. Below the horizon it shows far grass.
 
+Reflectances are measured: materials of the USGS Spectral Library.
+
 Writes: ``set.usda``, ``sky.exr`` (coefficients) and ``sky_rgb.exr``. All are committed; run this
         after a change.
 """
@@ -38,11 +40,9 @@ from set_layers import (  # noqa: E402
     WAVELENGTH_NM,
     add_light,
     box,
-    bump,
-    even,
     luminance,
+    measured,
     new_set,
-    rise,
     write_set,
 )  # fmt: skip
 
@@ -72,19 +72,11 @@ HEIGHT = 96
 """Rows of the sky's map; twice as many columns."""
 
 REFLECTANCES = {
-    # Chlorophyll: dark below 500 nm and at 670 nm, green between, the red edge from 690 nm.
-    "grass": 0.03
-    + 0.075 * bump(553.0, 32.0)
-    + 0.02 * rise(510.0, 15.0)
-    - 0.015 * bump(672.0, 18.0)
-    + 0.38 * rise(716.0, 11.0),
-    "concrete": 0.20 + 0.10 * rise(480.0, 70.0) + 0.04 * rise(620.0, 50.0),
-    "plaster": 0.08
-    + 0.40 * rise(405.0, 10.0)
-    + 0.22 * rise(510.0, 40.0)
-    + 0.05 * rise(600.0, 40.0),
-    "brick": 0.06 + 0.20 * rise(585.0, 22.0) + 0.08 * rise(660.0, 30.0),
-    "dark": even(0.04),
+    "grass": measured("GDS91"),  # a lawn
+    "concrete": measured("GDS375"),  # light gray
+    "block": measured("GDS356"),  # cinder block, light gray
+    "brick": measured("GDS353"),  # red
+    "cedar": measured("GDS361"),  # weathered
 }
 
 
@@ -178,9 +170,9 @@ def surfaces() -> dict:
             ((-1.6, -0.1, -40.0), (40.0, 0.0, -9.0)),
         ) for quad in box(low, high, "+y")]),
         "terrace": ("concrete", box((-1.6, -0.1, -9.0), (40.0, 0.0, 1.8), "+y")),
-        "house": ("plaster", box((2.2, 0.0, -8.0), (9.0, 5.5, 1.5), "-x +x +y -z +z")),
+        "house": ("block", box((2.2, 0.0, -8.0), (9.0, 5.5, 1.5), "-x +x +y -z +z")),
         "shed": ("brick", box((-4.5, 0.0, -7.0), (0.2, 2.6, -5.0), "-x +x +y -z +z")),
-        "door": ("dark", box((2.17, 0.0, -3.0), (2.19, 2.1, -2.0), "-x +y -z +z")),
+        "door": ("cedar", box((2.17, 0.0, -3.0), (2.19, 2.1, -2.0), "-x +y -z +z")),
     }  # fmt: skip
 
 

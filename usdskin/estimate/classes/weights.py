@@ -1,19 +1,14 @@
 """Tell which lamp lights what, from the colors of a panorama.
 
-What shines is one lamp, and is recognised by its chromaticity. Surfaces mix lamps, and a surface's
-own color hides the light's; but surfaces average out to nearly grey (Buchsbaum, "A spatial
-processor model for object colour perception", 1980), all the more when bright ones count more
-(Finlayson and Trezzi, "Shades of gray and colour constancy", 2004). So their light is estimated
-from averages over a neighbourhood, as mixtures of the calibrated lamps, starting from what the
-lamps in sight give. What has just the chromaticity of a lamp counts as in sight too, however dark:
-it is the lamp (a clear sky), or grey and in its light alone.
+What shines is one lamp, and is recognised by its chromaticity. Surfaces mix lamps: see
+``surfaces``, which starts from what the lamps in sight give. What has just the chromaticity of a
+lamp counts as in sight too, however dark: it is the lamp (a clear sky), or grey and in its light
+alone.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
-from math import comb
 from typing import Any
 
 import numpy as np
@@ -21,6 +16,7 @@ from numpy.typing import NDArray
 
 from usdskin.estimate.classes.lamps import Lamps, check_separations, chromaticity, read_lamps
 from usdskin.estimate.classes.sphere import add_cells, row_blocks, smooth, spread
+from usdskin.estimate.classes.surfaces import normalized, squared_distance, surface_shares
 from usdskin.latlong import latlong_directions, texel_directions, texel_solid_angles
 from usdskin.notes import Note
 from usdskin.prims import SpectralCamera
@@ -29,20 +25,12 @@ FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
 
 _CELL_ROWS = 128
-_MEETING_ROWS = 32  # of the map on which surfaces' light is estimated; it is smooth
 _SOURCE_RADIUS = 0.05  # [rad], within which what shines is one lamp
 _NEAR = 1e-4  # of the brightest, blurred so: some 12 degrees from the edge of a lamp
-_SURFACE_RADIUS = 0.25  # [rad], over which surfaces average out
 _LIT, _LAMP = 2.0, 4.0  # times a white surface: a surface still, and surely a lamp
 _DIRECTION_COUNT = 128
-_MOST_MIXTURES = 500
 
-# How much the evidence weighs, in surfaces of independent color.
-_SOURCE_SURFACES = 32.0  # lamps of a class scatter by a sixth of what surfaces do
-_WORLD_SURFACES = 8.0
-_NEAR_SURFACES = 12.0
-_PRIOR_SURFACES = 4.0
-_UNSEEN_FLUX = 0.05  # of all light: what lamps out of sight are granted beforehand
+_SOURCE_SURFACES = 32.0  # the evidence of lamps: they scatter by a sixth of what surfaces do
 
 _STRANGE = 3.0  # standard deviations of lamps, from every class
 _STRANGE_FLUX = 0.05  # of all light
@@ -93,11 +81,9 @@ def estimate_class_weights(
     white = _white_luminance(values, lamps)
     sums = _gathered(values, lamps, white, clipped)
     near_sources, is_known, flux = _source_shares(sums, lamps, camera, notes)
-    near_surfaces = _surface_shares(sums.surfaces, lamps, flux)
+    near_surfaces = surface_shares(sums.surfaces, lamps, flux)
     # A lamp whose color is clipped, and no other near: what it lights tells most.
-    cell_rows, cell_columns = is_known.shape
-    around = spread(near_surfaces, slice(0, cell_rows), cell_rows, cell_columns)
-    near_sources = np.where(is_known[..., None], near_sources, around)
+    near_sources = np.where(is_known[..., None], near_sources, near_surfaces)
     weights = np.empty((height, width, len(lamps.names)), np.float32)
     for rows in row_blocks(height):
         shine = _shine(_luminance(values[rows], lamps), white)[..., None]
@@ -173,8 +159,8 @@ def _source_shares(
     near = smooth(sums.sources, _SOURCE_RADIUS)
     is_known = near[..., 3] > _NEAR * near[..., 3].max()
     color = chromaticity(np.where(is_known[..., None], near[..., :3], 1.0))
-    distance = _SOURCE_SURFACES * _squared_distance(color, lamps.chromaticities, lamps)
-    shares = _normalized(-0.5 * distance)
+    distance = _SOURCE_SURFACES * squared_distance(color, lamps.chromaticities, lamps)
+    shares = normalized(-0.5 * distance)
     light = sums.sources[..., 3]
     total = light.sum() + sums.surfaces[..., 2].sum()
     strange = float(light[is_known & (distance.min(axis=-1) > _STRANGE**2)].sum())
@@ -185,96 +171,3 @@ def _source_shares(
         )
         notes.append(Note("light-not-calibrated", camera.where, text))
     return shares, is_known, np.einsum("ij,ijk->k", light, shares) / max(total, 1e-30)
-
-
-# --- What is lit -------------------------------------------------------------------------------
-
-
-def _surface_shares(surfaces: FloatArray, lamps: Lamps, flux: FloatArray) -> FloatArray:
-    """Return the mixture of lamps on the surfaces around, shape [meeting_rows, columns, K].
-
-    Args:
-        surfaces: Of ``_Sums``.
-        lamps: The classes.
-        flux: What share of all light comes straight from each class, shape [K].
-    """
-    rows, columns, _ = surfaces.shape
-    shape = min(_MEETING_ROWS, rows), min(2 * _MEETING_ROWS, columns)
-    sums = np.zeros((*shape, 3))
-    add_cells(sums, surfaces, slice(0, rows), rows)
-    near = smooth(sums, _SURFACE_RADIUS)
-    if not near[..., 2].max() > 0.0:
-        return np.full((*shape, len(lamps.names)), 1.0 / len(lamps.names))
-    color = _mean_color(near)
-    size = texel_solid_angles(*shape)[:, None, None]
-    world = (color * size).sum(axis=(0, 1)) / (shape[1] * size.sum())
-
-    mixtures = _mixtures(len(lamps.names))
-    expected = chromaticity(mixtures @ lamps.camera_values) + lamps.surface_mean
-    prior = flux + (1.0 - flux.sum()) * _plain_shares(sums, lamps) + _UNSEEN_FLUX / len(flux)
-    prior = _mean_mixture(world, _WORLD_SURFACES, prior / prior.sum(), mixtures, expected, lamps)
-    return _mean_mixture(color, _NEAR_SURFACES, prior, mixtures, expected, lamps)
-
-
-def _mean_color(sums: FloatArray) -> FloatArray:
-    """Return the mean chromaticity of sums like those of ``_Sums.surfaces``."""
-    known = sums[..., 2:]
-    return np.asarray(sums[..., :2] / np.maximum(known, 1e-9 * known.max()))
-
-
-def _plain_shares(sums: FloatArray, lamps: Lamps) -> FloatArray:
-    """Return what share of surfaces' light has just the chromaticity of each lamp, shape [K]."""
-    distance = _SOURCE_SURFACES * _squared_distance(_mean_color(sums), lamps.chromaticities, lamps)
-    likeness = np.exp(-0.5 * distance)
-    of_class = likeness * _normalized(-0.5 * distance)
-    return np.asarray(np.einsum("ij,ijk->k", sums[..., 2], of_class) / sums[..., 2].sum())
-
-
-def _mixtures(class_count: int) -> FloatArray:
-    """Return shares of the classes, evenly over all mixtures, shape [count, K]."""
-    steps = max(n for n in range(2, 41) if n == 2 or comb(n + class_count - 1, n) <= _MOST_MIXTURES)
-    parts = combinations_with_replacement(range(class_count), steps)
-    counts = [np.bincount(part, minlength=class_count) for part in parts]
-    return np.asarray(counts, dtype=np.float64) / steps
-
-
-def _mean_mixture(
-    color: FloatArray,
-    surface_count: float,
-    prior: FloatArray,
-    mixtures: FloatArray,
-    expected: FloatArray,
-    lamps: Lamps,
-) -> FloatArray:
-    """Return the mean of the mixtures that explain a mean chromaticity of surfaces.
-
-    The mean of n surfaces scatters by their covariance over n. Beforehand mixtures scatter about
-    the prior by Pearson's chi-squared, so that a lamp that is not there stays away.
-
-    Args:
-        color: Mean chromaticities, shape [..., 2].
-        surface_count: n, how many independent surfaces they are worth.
-        prior: The mixture expected beforehand, shape [K].
-        mixtures: All that are considered, shape [count, K].
-        expected: Chromaticity of surfaces in their light, shape [count, 2].
-        lamps: The classes.
-
-    Returns:
-        Mixtures, shape [..., K].
-    """
-    distance = surface_count * _squared_distance(color, expected, lamps)
-    distance += _PRIOR_SURFACES * ((mixtures - prior) ** 2 / prior).sum(axis=-1)
-    return _normalized(-0.5 * distance) @ mixtures
-
-
-def _squared_distance(color: FloatArray, expected: FloatArray, lamps: Lamps) -> FloatArray:
-    """Return squared Mahalanobis distances in the scatter of surfaces, shape [..., count]."""
-    whitening = np.linalg.cholesky(np.linalg.inv(lamps.surface_covariance))
-    away = (color @ whitening)[..., None, :] - expected @ whitening
-    return np.asarray((away**2).sum(axis=-1))
-
-
-def _normalized(logarithm: FloatArray) -> FloatArray:
-    """Return probabilities along the last axis, of logarithms known up to a constant."""
-    odds = np.exp(logarithm - logarithm.max(axis=-1, keepdims=True))
-    return np.asarray(odds / odds.sum(axis=-1, keepdims=True))

@@ -35,6 +35,9 @@ from pxr import UsdGeom
 _BRIGHTEST = 0.8
 """What the brightest lamp is exposed to in the shortest exposure, relative to white."""
 
+_CAMERA_PIXELS = 4000
+"""Width of the fisheye's circle on a camera of 24 megapixels, for which the photographs stand."""
+
 VIEWS = "3+zenith"
 """Where the photographer means to look: the views of `usdskin ingest --views`."""
 
@@ -69,13 +72,21 @@ def shooting_of(options: ProofOptions, faults: Faults, light: Path | None = None
     # The shutter and the f-number stay; the sensor is exposed for the place by the neutral filter
     # of its sensitivity, as ``Setup.middle`` says.
     series = exposure_series(size.exposures, size.stops)
+    # A pixel stands for several of the camera's: it holds their electrons, and their noise.
+    binned = max(_CAMERA_PIXELS / size.fisheye, 1.0)
+    sensor = Sensor(is_noisy=faults.noise)
+    sensor = replace(
+        sensor,
+        full_well=float(f"{sensor.full_well * binned**2:g}"),
+        read_noise=float(f"{sensor.read_noise * binned:g}"),
+    )
     views = turned_views(faults.rotation_deg, options.seed)
     setup = Setup(
         camera=options.camera,
         lens=fisheye(size.fisheye, glare=faults.glare),
         views=views,
         exposures=series,
-        sensor=Sensor(is_noisy=faults.noise),
+        sensor=sensor,
         vignetting_error=faults.vignetting,
         stated_glare=0.0,
         reading_error=options.scale_error,
@@ -90,6 +101,7 @@ def shooting_of(options: ProofOptions, faults: Faults, light: Path | None = None
     words += ["--vignetting-error", faults.vignetting, "--reading-error", options.scale_error]
     words += ["--views", ",".join(f"{azimuth:.4f}:{up:.4f}" for azimuth, up in views)]
     words += ["--truth-height", size.solve_height]
+    words += ["--full-well", sensor.full_well, "--read-noise", sensor.read_noise]
     words += [] if faults.noise else ["--no-noise"]
     return Shooting(setup, _as_words(camera), _as_words(words))
 
