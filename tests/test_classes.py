@@ -271,7 +271,7 @@ def test_gray_walls_show_how_the_mixture_changes_along_them():
     values[44:48, 10:14] = 300.0 * wall[0, 0]
     found = estimate_class_weights(values, camera, [])[2:30, :, 0]
     # Walls may be a little yellow or blue, so part of the change counts as theirs.
-    assert np.abs(found - share[2:30]).mean() < 0.15
+    assert np.abs(found - share[2:30]).mean() < 0.2
     assert found.max() - found.min() > 0.5
     assert np.corrcoef(found.ravel(), share[2:30].ravel())[0, 1] > 0.98
 
