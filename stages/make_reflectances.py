@@ -1,4 +1,4 @@
-"""Make the table of the sets' reflectances: ``python stages/make_reflectances.py ASCIIdata_splib07a``.
+"""Make the sets' reflectances: ``python stages/make_reflectances.py ASCIIdata_splib07a``.
 
 The argument is the unpacked archive of that name of the USGS Spectral Library Version 7 (Kokaly et
 al., 2017, USGS Data Series 1035, doi:10.5066/F7RR1WDJ), a work of the U.S. government in the public

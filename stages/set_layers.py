@@ -2,8 +2,8 @@
 
 A set is what docs/sets.md says: planar quads with Lambertian reflectances, lamps with spectra in
 absolute units, and the capture point. Reflectances are measured ones: ``reflectances.csv`` has
-materials of the USGS Spectral Library, colour-science has CIE's Munsell papers. No estimator, prior or
-chart of usdskin has seen them.
+materials of the USGS Spectral Library, colour-science has CIE's Munsell papers. No estimator, prior
+or chart of usdskin has seen them.
 """
 
 from __future__ import annotations

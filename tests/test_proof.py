@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -231,6 +232,21 @@ def test_the_shortest_exposure_holds_the_sun_and_a_room_is_exposed_as_usual(tmp_
     shortest = setup.exposures_of(0).exposure.min()
     brightest = seen.constant * shortest * disc.values[:3].max()
     assert brightest == pytest.approx(0.8, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "full_well", "read_noise"),
+    [(1000, 960000.0, 12.0), (4000, 60000.0, 3.0), (6000, 60000.0, 3.0)],
+)
+def test_small_photographs_have_the_noise_of_a_camera_taken_together(pixels, full_well, read_noise):
+    """The sum of n pixels holds n times the electrons, and their noise sqrt(n) times."""
+    options = ProofOptions(size=replace(size_of("preview"), fisheye=pixels))
+    shooting = shooting_of(options, options.faults)
+    sensor = shooting.setup.sensor
+    assert (sensor.full_well, sensor.read_noise) == (full_well, read_noise)
+    words = dict(zip(shooting.camera_options, shooting.camera_options[1:], strict=False))
+    assert float(words["--full-well"]) == full_well
+    assert float(words["--read-noise"]) == read_noise
 
 
 def test_command_refuses_what_is_no_set(tmp_path, capsys):

@@ -58,7 +58,7 @@ def outdoor(monkeypatch):
 def test_a_set_has_nothing_to_be_found_in_and_is_small(name):
     assert [str(found) for found in validate(STAGES / name / "set.usda")] == []
     assert (STAGES / name / "set.usda").stat().st_size < 300_000
-    assert max(file.stat().st_size for file in (STAGES / name).glob("*.exr")) < 400_000
+    assert max(file.stat().st_size for file in (STAGES / name).glob("*.exr")) < 450_000
     assert (STAGES / name / "README.md").is_file()
 
 

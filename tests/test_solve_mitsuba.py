@@ -116,7 +116,7 @@ def test_photons_agree_with_mitsubas_path_integrator(tmp_path: Path):
     """Of the office, to half a percent and the noise of paths."""
     scene = read_set(STAGES / "room_fluorescent" / "set.usda", NM[[1, 5, 10]], [])
     found = photons(scene, tmp_path, 1_000_000)["picture"].mean(axis=0)
-    paths = peer(scene, tmp_path, "mitsuba_set_peer", samples=1024, groups=8, depth=40)
+    paths = peer(scene, tmp_path, "mitsuba_set_peer", samples=4096, groups=16, depth=40)
     _, weights = ours(scene, 100)
     for part, off, error in differences(found, paths["picture"], weights):
         print(part, np.round(100.0 * off, 2), np.round(100.0 * error, 2))

@@ -2,8 +2,8 @@
 
 A room of 5.6 x 6 x 2.7 m with four fluorescent tubes (CIE FL2) on the right of who sits there and
 a window on the left, through which an even sky shines (CIE daylight of 7500 K, D75): a uniform
-portal. Both spectra are usdskin's tables of CIE illuminants. Reflectances are measured: materials of
-the USGS Spectral Library.
+portal. Both spectra are usdskin's tables of CIE illuminants. Reflectances are measured: materials
+of the USGS Spectral Library.
 
 Writes: ``set.usda``. It is committed; run this after a change.
 """

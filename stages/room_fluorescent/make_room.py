@@ -1,8 +1,8 @@
 """Make the office that the proof is shot in: ``python stages/room_fluorescent/make_room.py``.
 
 A room of 6.4 x 6.6 x 2.8 m with four bare fluorescent tubes (CIE FL2) hung below a white ceiling, a
-desk, a cabinet and a sofa. Reflectances are measured: materials of the USGS Spectral Library, and Munsell
-papers for the accent wall and the poster.
+desk, a cabinet and a sofa. Reflectances are measured: materials of the USGS Spectral Library, and
+Munsell papers for the accent wall and the poster.
 
 Writes: ``set.usda``. It is committed; run this after a change.
 """

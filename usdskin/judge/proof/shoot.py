@@ -50,7 +50,7 @@ class Shooting:
     """Camera, lens, views and faults."""
 
     camera_options: tuple[str, ...]
-    """Camera and lens as options of `usdskin photograph`."""
+    """Sensor and lens as options of `usdskin photograph`."""
 
     options: tuple[str, ...]
     """The rest, the seed aside."""
@@ -96,12 +96,12 @@ def shooting_of(options: ProofOptions, faults: Faults, light: Path | None = None
     if light is not None:
         setup = replace(setup, middle=_metered(light, setup))
     camera: list[Any] = ["--middle", setup.middle, "--size", size.fisheye, "--glare", faults.glare]
+    camera += ["--full-well", sensor.full_well, "--read-noise", sensor.read_noise]
     words: list[Any] = ["--camera", options.camera]
     words += ["--exposures", size.exposures, "--stops", size.stops, "--stated-glare", 0.0]
     words += ["--vignetting-error", faults.vignetting, "--reading-error", options.scale_error]
     words += ["--views", ",".join(f"{azimuth:.4f}:{up:.4f}" for azimuth, up in views)]
     words += ["--truth-height", size.solve_height]
-    words += ["--full-well", sensor.full_well, "--read-noise", sensor.read_noise]
     words += [] if faults.noise else ["--no-noise"]
     return Shooting(setup, _as_words(camera), _as_words(words))
 
