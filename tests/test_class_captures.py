@@ -232,6 +232,30 @@ def test_captures_of_another_size_or_frame_or_camera_are_refused(tmp_path):
         estimate_light(tmp_path / "all.usda", place.camera, tmp_path / "l.usda", options)
 
 
+@pytest.mark.parametrize("count", [2, 3])
+def test_captures_with_each_others_names_are_refused(tmp_path, count):
+    place = switchable(tmp_path, count)
+    (one, first), (other, second) = place.captures("lamp0", "lamp1")
+    rest = place.captures("lamp2") if count == 3 else ()
+    options = LightOptions(class_captures=((one, second), (other, first), *rest))
+    message = (
+        r"^--class-capture lamp0 \(lamp1.usda.*\), lamp1 \(lamp0.usda.*\): have the color of each "
+        r"other's lamps: lamp0 over lamp1 is [\d.]+ in R/G and [\d.]+ in B/G, and the calibration "
+        r"says [\d.]+ and [\d.]+; interchange the two names$"
+    )
+    with pytest.raises(LayerError, match=message):
+        estimate_light(tmp_path / "all.usda", place.camera, tmp_path / "l.usda", options)
+    assert not (tmp_path / "l.usda").exists()
+
+
+def test_a_single_capture_with_the_others_name_is_refused(tmp_path):
+    place = switchable(tmp_path)
+    options = LightOptions(class_captures=(("lamp0", tmp_path / "lamp1.usda"),))
+    message = r"^--class-capture lamp0 \(lamp1.usda.*\): has the color of lamp1, .*call it lamp1$"
+    with pytest.raises(LayerError, match=message):
+        estimate_light(tmp_path / "all.usda", place.camera, tmp_path / "l.usda", options)
+
+
 def test_files_that_are_no_captures_are_refused_by_the_name_of_their_class(tmp_path):
     place = switchable(tmp_path)
     (tmp_path / "empty.usda").write_text("#usda 1.0\n")

@@ -43,16 +43,20 @@ _REFUSED = 1.5
 def check_additivity(
     whole: CapturedPanorama,
     alone: Mapping[str, CapturedPanorama],
-    is_complete: bool,
+    missing: str | None,
     notes: list[Note],
-) -> None:
+) -> dict[str, FloatArray]:
     """Refuse captures of single classes that cannot be parts of the whole one.
 
     Args:
         whole: With all lamps on.
         alone: With one class alone, by its name; panoramas of the same size.
-        is_complete: Whether they are all classes; else they may add up to less.
+        missing: The class without a capture, if any: the others may add up to less.
         notes: Takes what does not quite add up.
+
+    Returns:
+        What each class gives around every cell, that without a capture what the others leave, as
+        camera values on one scale, shape [rows, 2 rows, 3].
 
     Raises:
         LayerError: In some direction they give far more light than the whole, or, if complete,
@@ -61,20 +65,24 @@ def check_additivity(
     seen, parts = _around(whole), {name: _around(capture) for name, capture in alone.items()}
     floor = _floor(seen)
     together = (sum(parts.values()) + floor) / (seen + floor)
-    disagreement = float((np.maximum(together, 1.0 / together) if is_complete else together).max())
-    if not is_complete and together.min() > 1.0 / _NOTED:
+    off = together if missing else np.maximum(together, 1.0 / together)
+    if missing and together.min() > 1.0 / _NOTED:
         text = f"give all the light of {whole.where}: no light is left for the class without one"
         notes.append(Note("captures-leave-nothing", ", ".join(parts), text))
+    given = dict(parts)
+    if missing:
+        given[missing] = np.maximum(seen - sum(parts.values()), 0.0)
+    disagreement = float(off.max())
     if disagreement <= _NOTED:
-        return
+        return given
     # One that outshines all lamps is wrong by itself; else it may be any of them.
     by_itself = {name: (part + floor) / (seen + floor) for name, part in parts.items()}
     brightest = max(by_itself, key=lambda name: float(by_itself[name].max()))
     if len(parts) == 1 or by_itself[brightest].max() > _NOTED:
-        factor, off = by_itself[brightest], by_itself[brightest]
+        factor = off = by_itself[brightest]
         who, gives, one = f"{brightest} ({alone[brightest].where})", "gives", "it"
     else:
-        factor, off = together, np.maximum(together, 1.0 / together)
+        factor = together
         who, gives, one = ", ".join(parts), "together give", "one of them"
     worst = np.unravel_index(np.argmax(off), off.shape)
     text = (
@@ -88,6 +96,7 @@ def check_additivity(
         )
     text += "; did a lamp change or the camera move? Light there may go to the wrong class"
     notes.append(Note("captures-disagree", who, text))
+    return given
 
 
 def _floor(values: FloatArray) -> FloatArray:

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.errors import UsageError
+from usdskin.estimate.classes.lamps import read_lamps
 from usdskin.estimate.light.additivity import check_additivity
 from usdskin.estimate.light.light_map import LightMap
+from usdskin.estimate.light.naming import check_names
 from usdskin.estimate.light.pictures import clipped_share, panorama_rows, panorama_size
 from usdskin.estimate.light.switched import Switched, luminance_shares, switched_captures
 from usdskin.notes import Note
@@ -82,8 +84,9 @@ def find_mixture(
     names = tuple(recovery.light_class for recovery in camera.recoveries)
     if class_captures:
         switched = switched_captures(capture, class_captures, camera)
-        is_complete = len(class_captures) == len(names)
-        check_additivity(capture, class_captures, is_complete, notes)
+        missing = next((name for name in names if name not in class_captures), None)
+        given = check_additivity(capture, class_captures, missing, notes)
+        check_names(given, class_captures, read_lamps(camera))
         weights = luminance_shares(switched, camera)
         return Mixture(camera.recoveries, weights, switched)
     height, width = panorama_size(capture)
