@@ -13,6 +13,10 @@ from usdskin.render.overrides import RenderOverrides
 from usdskin.render.scene import Scene, read_scene
 from usdskin.render.settings import resolve_settings
 
+# isort: split
+# After ours, which register the schemas.
+from pxr import Usd
+
 HEAD = """#usda 1.0
 (
     {metadata}
@@ -51,14 +55,15 @@ def write_stage(folder: Path, *prims: str, metadata: str = "metersPerUnit = 1") 
 
 
 def read_stage(
-    path: Path, number: float | None = None, **flags: object
+    path: Path, number: float | None = None, base: float | None = None, **flags: object
 ) -> tuple[Scene, list[Note]]:
-    """Return a stage's scene at a frame, and the notes of reading it."""
+    """Return a stage's scene at a frame, or while its shutter is open, and the notes of it."""
     notes: list[Note] = []
     overrides = RenderOverrides(frames=None if number is None else [number], **flags)  # type: ignore[arg-type]
     with opened(path, overrides, notes) as stage:
         job = resolve_settings(stage, overrides, Path("o.exr"), notes)
-        scene = read_scene(stage, job.frames[0].time, job.settings, notes)
+        frame = None if base is None else Usd.TimeCode(base)
+        scene = read_scene(stage, job.frames[0].time, job.settings, notes, base=frame)
     return scene, notes
 
 

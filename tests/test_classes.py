@@ -576,6 +576,19 @@ def test_more_classes_are_channels_of_their_names(tmp_path):
     assert set(read_image(tmp_path / "map.exr").channel_names) == set(names)
 
 
+@pytest.mark.parametrize("names", [["A", "FL2", "D65", "Z"], ["FL2", "A"], ["A", "Z"]])
+def test_classes_may_be_called_as_alpha_and_depth(tmp_path, names):
+    """CIE's incandescent illuminant is A."""
+    weights = random_weights(len(names))
+    write_class_map(tmp_path / "map.exr", weights, names)
+    read = read_class_map(tmp_path / "map.exr", names, 32, 64)
+    np.testing.assert_allclose(read, weights, atol=PRINTED)
+    channels = {name: weights[..., index] for index, name in enumerate(names)}
+    write_exr(tmp_path / "named.exr", [Part("", channels, {}, "half")])
+    read = read_class_map(tmp_path / "named.exr", names, 32, 64)
+    np.testing.assert_allclose(read, weights, atol=PRINTED)
+
+
 @pytest.mark.parametrize("ending", ["png", "tif"])
 @pytest.mark.parametrize("kind", ["uint8", "uint16"])
 def test_painted_indices_are_classes(tmp_path, ending, kind):

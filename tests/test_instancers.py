@@ -486,3 +486,27 @@ def test_openusds_own_instancers_have_the_bounds_that_usd_computes(realdata, tmp
         points = np.concatenate([mesh.points for mesh in read_stage(path, number)[0].meshes])
         np.testing.assert_allclose(points.min(axis=0), box.GetMin(), atol=2e-3)
         np.testing.assert_allclose(points.max(axis=0), box.GetMax(), atol=2e-3)
+
+
+def test_velocities_count_from_the_frame_while_the_shutter_is_open(tmp_path):
+    """One sample per frame, each of another particle at 24 m/s: half a frame before and after."""
+    particles = """rel prototypes = </Many/Leaf>
+    int[] protoIndices = [0]
+    point3f[] positions.timeSamples = {0: [(-3, 0, 0)], 1: [(2, 0, 0)], 2: [(7, 0, 0)]}
+    vector3f[] velocities.timeSamples = {0: [(24, 0, 0)], 1: [(24, 0, 0)], 2: [(24, 0, 0)]}"""
+    codes_per_second = "metersPerUnit = 1\n    timeCodesPerSecond = 24"
+    stage = write_stage(tmp_path, many(particles, triangle("Leaf")), metadata=codes_per_second)
+    for time in (0.75, 1.0, 1.25):
+        scene, _ = read_stage(stage, time, base=1.0)
+        assert origins(scene)[:, 0] == pytest.approx([2.0 + (time - 1.0)])
+
+
+def test_instances_that_come_and_go_are_those_of_the_frame(tmp_path):
+    """The sample before the frame holds two, and no velocity says where the third came from."""
+    particles = """rel prototypes = </Many/Leaf>
+    int[] protoIndices.timeSamples = {0: [0, 0], 1: [0, 0, 0]}
+    point3f[] positions.timeSamples = {0: [(0, 0, 0), (1, 0, 0)],
+        1: [(1, 0, 0), (2, 0, 0), (3, 0, 0)]}"""
+    stage = write_stage(tmp_path, many(particles, triangle("Leaf")))
+    scene, _ = read_stage(stage, 0.75, base=1.0)
+    np.testing.assert_allclose(origins(scene)[:, 0], [1.0, 2.0, 3.0])

@@ -11,16 +11,17 @@ import shutil
 import zlib
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import proof_folders
 import pytest
 
 from usdskin.cli import main
-from usdskin.images import read_image
+from usdskin.images import Part, read_image, write_exr
 from usdskin.judge.report.charts import nice_ticks, spread_bar
 from usdskin.judge.report.markup import Markup, element, json_block
-from usdskin.judge.report.pixels import pack, quantized_delta
+from usdskin.judge.report.pixels import lab_of_beauty, pack, quantized_delta
 from usdskin.judge.report.shown import number
 
 HOSTILE = '</script><img src=x onerror="alert(1)">{{style}}\'&<b>'
@@ -438,3 +439,15 @@ def test_maps_without_differences_are_refused(copy, capsys):
     shutil.copy(copy / "light.exr", copy / "differences/light_map.exr")
     proof_folders.save(copy, content_of(copy))
     assert "has no channel dE2000" in refusal(capsys, copy)
+
+
+@pytest.mark.parametrize("exposure", [0.25, 1.0, 4.0])
+def test_colors_are_those_of_the_light_whatever_the_cameras_exposure(tmp_path, exposure):
+    """A fifth of the white is L* = 116 (0.2)^(1/3) - 16."""
+    pixels = np.full((2, 3, 3), 0.2 * exposure, np.float32)
+    header = {"usdskin/exposureScale": repr(exposure)}
+    part = Part("beauty", {"": pixels}, header, color_space="lin_rec709_scene")
+    file = write_exr(tmp_path / "a.exr", [part]) or tmp_path / "a.exr"
+    judged = SimpleNamespace(y_n=1.0, white=(0.3127, 0.3290))
+    found = lab_of_beauty(file, judged)
+    np.testing.assert_allclose(found, np.full((2, 3, 3), [51.8372, 0.0, 0.0]), atol=0.02)

@@ -751,3 +751,15 @@ def test_json_output_is_objects_that_name_the_files(here, capfd):
     (note,) = [event for event in events if event["event"] == "note"]
     assert (note["code"], note["path"]) == ("light-needs-traced", "/Lamp")
     assert printed.err == ""
+
+
+@pytest.mark.parametrize("observer", ["cie1931_2", "cie1964_10", "cie2015_2"])
+@pytest.mark.parametrize("white", ["FL2", "scene"])
+def test_grey_in_a_lamps_light_is_grey_beside_the_lamps_white_to_any_observer(
+    here, observer, white
+):
+    text = stage_text(WHITE, quad("Card", colored((0.2, 0.2, 0.2))))
+    given = ["--illuminant", "FL2", "--white", white, "--observer", observer, "--ev", "0", "--png"]
+    render(text, *given)
+    card = read_image("shot.png").pixels[SIZE // 2, SIZE // 2, :3]
+    assert np.ptp(255 * card) <= 1.01

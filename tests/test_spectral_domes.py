@@ -18,11 +18,12 @@ from light_stages import (
     write_rgb,
     xyz,
 )
-from pxr import Gf, Sdf, Vt
+from pxr import Gf, Sdf, Usd, Vt
 
 from usdskin.colorimetry import daylight, planck_radiance
 from usdskin.errors import ImageError, LayerError
 from usdskin.prims import write_spectrum
+from usdskin.render.lights import read_lights
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM as NM
 from usdskin.spectrum import SpectralQuantity, Spectrum
 
@@ -180,6 +181,30 @@ def test_spectra_that_dip_below_zero_are_noted_and_used_as_they_are(tmp_path):
     assert "1 of 32 pixels" in notes[0].message and "x 2, y 1" in notes[0].message
     clamped = only_dome(stage, bad_pixels="clamp")
     assert radiance(clamped)[1, 2, 30] == pytest.approx(0.0, abs=1e-6)
+
+
+UNEVEN = np.concatenate([np.arange(400.0, 500.0, 2.0), np.arange(500.0, 701.0, 10.0)])
+
+
+@pytest.mark.parametrize("grid", [NM, UNEVEN, np.arange(560.0, 701.0, 10.0)])
+@pytest.mark.parametrize("own", [NM, UNEVEN])
+def test_energy_is_that_of_all_wavelengths_of_a_light_whatever_the_bands(tmp_path, grid, own):
+    """0.5 below zero over a third of the wavelengths, 1 above over the rest; and upside down."""
+    shape = np.where(own < 500.0, -0.5, 1.0)
+    coefficients = np.ones((4, 8, 1), np.float32)
+    stage = new_stage()
+    file = write_coefficients(tmp_path / "c.exr", coefficients)
+    prim = basis_dome(stage, file, shape[None], own)
+    notes = []
+    found = read_lights(stage, Usd.TimeCode.Default(), grid, notes=notes)
+    np.testing.assert_array_equal(found.domes[0].coefficients, coefficients)
+    if grid[0] == 400.0:
+        assert [note.code for note in notes] == ["spectra-dip"]
+        told = float(notes[0].message.partition("% of the energy")[0].rpartition(" ")[2])
+        assert told / 100.0 == pytest.approx(0.5 * 100.0 / 200.0, rel=0.1)
+    prim.GetAttribute("inputs:spectral:basis").Set(Vt.DoubleArray((-shape).tolist()))
+    with pytest.raises(ImageError, match="32 of 32 pixels are no light: 32 negative"):
+        read_lights(stage, Usd.TimeCode.Default(), grid)
 
 
 def negative_basis_case(tmp_path):

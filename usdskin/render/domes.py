@@ -24,7 +24,7 @@ from usdskin.render.light_inputs import (
     rgb_spectra,
 )
 from usdskin.render.texels import factorize, mend_low_rank, mend_values
-from usdskin.spectrum import SpectralQuantity, resample
+from usdskin.spectrum import SpectralQuantity, band_widths, resample
 from usdskin.uplift import deepest_dip
 
 _UNIFORM = (2, 4)  # rows and columns of a dome without a map
@@ -308,9 +308,19 @@ def _read_basis(
             f"{describe(light.prim)}: inputs:spectral:basis:wavelengths {nm[0]:g} to {nm[-1]:g} nm "
             "miss the rendered wavelengths; render others, or extend the basis"
         )
+    energy = basis @ _shares(nm)
     return mend_low_rank(
-        image.pixels, on_grid, context.bad_pixels, where, light.path, context.notes
-    )
+        image.pixels, on_grid, _shares(context.wavelength_nm), energy, context.bad_pixels,
+        where, light.path, context.notes,
+    )  # fmt: skip
+
+
+def _shares(wavelength_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the share of each band of a grid in its whole width."""
+    if len(wavelength_nm) < 2:
+        return np.ones(1)
+    widths_nm = band_widths(wavelength_nm)
+    return np.asarray(widths_nm / widths_nm.sum())
 
 
 def _is_coefficient(name: str) -> bool:

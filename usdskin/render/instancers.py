@@ -113,6 +113,11 @@ class InstancerReader:
     """Reads the instancers of a stage at one moment."""
 
     time: Usd.TimeCode
+
+    base: Usd.TimeCode
+    """The frame that the moment belongs to: it says which instances there are, and from which
+    sample of positions their velocities count."""
+
     purposes: frozenset[str]
     """Purposes that are drawn."""
 
@@ -160,7 +165,7 @@ class InstancerReader:
         instancer = UsdGeom.PointInstancer(prim)
         targets = instancer.GetPrototypesRel().GetTargets()
         indices = read_indices(
-            instancer.GetProtoIndicesAttr(), self.time, len(targets), "prototype"
+            instancer.GetProtoIndicesAttr(), self.base, len(targets), "prototype"
         )
         if not len(indices):
             return
@@ -192,13 +197,13 @@ class InstancerReader:
         self, instancer: UsdGeom.PointInstancer, count: int
     ) -> tuple[FloatArray, BoolArray]:
         """Return the transforms of all instances, and which of them are shown."""
-        prim, time = instancer.GetPrim(), self.time
+        prim, base = instancer.GetPrim(), self.base
         where = describe(prim)
         for name in _PER_INSTANCE:
             attribute = prim.GetAttribute(name)
             if name == "ids" and not self._usable_ids(attribute):
                 continue
-            found = _length(attribute, time)
+            found = _length(attribute, base)
             if found != count and (found or name == "positions"):
                 raise LayerError(
                     f"{where}: {name} has {found} values, but protoIndices has {count}; export "
@@ -206,16 +211,10 @@ class InstancerReader:
                 )
         self._usable_ids(instancer.GetInvisibleIdsAttr())
         shown = np.ones(count, dtype=np.bool_)
-        mask = instancer.ComputeMaskAtTime(time)
+        mask = instancer.ComputeMaskAtTime(base)
         if len(mask):
             shown &= np.asarray(mask, dtype=np.bool_)
-        moment = _moment(instancer, time)
-        found_matrices = instancer.ComputeInstanceTransformsAtTime(
-            moment,
-            moment,
-            UsdGeom.PointInstancer.ExcludeProtoXform,
-            UsdGeom.PointInstancer.IgnoreMask,
-        )
+        found_matrices = _matrices(instancer, self.time, base, count)
         if len(found_matrices) != count:
             raise LayerError(
                 f"{where}: USD finds {len(found_matrices)} transforms for {count} instances; "
@@ -232,7 +231,7 @@ class InstancerReader:
 
     def _usable_ids(self, attribute: Usd.Attribute) -> bool:
         """Return whether ids are of the type that USD reads; note others, which it passes over."""
-        value = attribute.Get(self.time)
+        value = attribute.Get(self.base)
         if value is None or isinstance(value, Vt.Int64Array):
             return True
         what = f"{attribute.GetName()} is not of type int64[], so USD ignores it"
@@ -311,6 +310,27 @@ def _length(attribute: Usd.Attribute, time: Usd.TimeCode) -> int:
             f"{attribute.GetTypeName()} asks for; export the instancer again"
         )
     return len(value)
+
+
+def _matrices(
+    instancer: UsdGeom.PointInstancer, time: Usd.TimeCode, base: Usd.TimeCode, count: int
+) -> Vt.Matrix4dArray:
+    """Return the transforms of all instances, as they are at the frame where USD finds none.
+
+    Without velocities positions are read at the time itself, and a sample in between may hold
+    other instances.
+    """
+    base = _moment(instancer, base)
+    for moment in (_moment(instancer, time), base):
+        found = instancer.ComputeInstanceTransformsAtTime(
+            moment,
+            base,
+            UsdGeom.PointInstancer.ExcludeProtoXform,
+            UsdGeom.PointInstancer.IgnoreMask,
+        )
+        if len(found) == count:
+            break
+    return found
 
 
 def _moment(instancer: UsdGeom.PointInstancer, time: Usd.TimeCode) -> Usd.TimeCode:

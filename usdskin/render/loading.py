@@ -77,7 +77,7 @@ class Loader:
     ) -> None:
         self._stage, self._settings = stage, settings
         self._workers, self._report, self._cache = workers, report, cache
-        self._last: tuple[Usd.TimeCode, Loaded] | None = None
+        self._last: tuple[tuple[Usd.TimeCode, Usd.TimeCode], Loaded] | None = None
         self._baked: tuple[tuple[MeshArrays, ...], DeviceTransfers | None] | None = None
         self._shadows: (
             tuple[tuple[MeshArrays, ...], Lights, dict[str, Any], LitTransfers] | None
@@ -88,14 +88,20 @@ class Loader:
         self._cache.forget()
         self._last = self._baked = self._shadows = None
 
-    def load(self, time: Usd.TimeCode, *, keep: bool = True) -> Loaded:
-        """Return the scene at a time; ``keep`` it for the products to come."""
-        if self._last is not None and self._last[0] == time:
+    def load(self, time: Usd.TimeCode, base: Usd.TimeCode, *, keep: bool = True) -> Loaded:
+        """Return the scene at a time.
+
+        Args:
+            time: When, while the shutter is open.
+            base: The frame, which says what there is to move.
+            keep: Keep it for the products to come.
+        """
+        if self._last is not None and self._last[0] == (time, base):
             return self._last[1]
         self._last = None  # memory for one scene, not for two
         settings, cache, seconds = self._settings, self._cache, self._report.seconds
         begun = clock.perf_counter()
-        scene = read_scene(self._stage, time, settings, self._report.notes, cache)
+        scene = read_scene(self._stage, time, settings, self._report.notes, cache, base=base)
         begun = _lap(seconds, "read", begun)
         baked = self._transfers(scene)
         traced = settings.integrator == "traced"
@@ -131,7 +137,7 @@ class Loader:
         _lap(seconds, "compile", begun)
         loaded = Loaded(scene, device_scene, white, rays, shadows)
         if keep:
-            self._last = time, loaded
+            self._last = (time, base), loaded
         return loaded
 
     def first_faces(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from usdskin import __version__
 from usdskin.colorimetry import xyz_to_rgb
 from usdskin.image_output import Part, write_exr, write_spectral_exr
+from usdskin.notes import Note
 from usdskin.render.aovs import MATTES, TRACED_SOURCES
 from usdskin.render.cameras import Camera
 from usdskin.render.checkpoint import Arrays
@@ -70,6 +71,7 @@ def write_picture(
     camera: Camera,
     settings: RenderSettings,
     shot: Shot,
+    notes: list[Note],
 ) -> list[Path]:
     """Write the files of one product at one frame; each appears whole or not at all.
 
@@ -82,6 +84,7 @@ def write_picture(
         camera: The camera it was rendered through.
         settings: The settings it was rendered with.
         shot: What goes into the headers.
+        notes: Takes that the PNG could not be adapted to its white.
 
     Returns:
         The files written, in order.
@@ -146,7 +149,9 @@ def write_picture(
             white=settings.white,
             scene_white_xyz=shot.scene_white,
             view=settings.view,
+            observer=settings.observer,
             metadata=header,
+            notes=notes,
         )
         written.append(files["png"])
     return written
@@ -168,6 +173,7 @@ def previewing(
             white=settings.white,
             scene_white_xyz=shot.scene_white,
             view=settings.view,
+            observer=settings.observer,
         )
 
     return write

@@ -138,7 +138,8 @@ def _render_frame(
     ]
     for (product, files), exposure in zip(wanted, exposures, strict=True):
         moved = exposure is not None and exposure.scene_moves
-        loaded = loader.load(exposure.middle if exposure and moved else frame.time)
+        time = exposure.middle if exposure and moved else frame.time
+        loaded = loader.load(time, frame.time)
         _render_product(
             stage, job, frame, product, files, loaded, loader, exposure, workers, progress, report,
             writer,
@@ -269,7 +270,7 @@ def _render_product(
             for share, time, seen_from in exposure.shares():
                 seen = loaded
                 if exposure.scene_moves:
-                    seen = loader.load(time, keep=False)
+                    seen = loader.load(time, frame.time, keep=False)
                     report.notes.extend(topology_notes(scene.meshes, seen.scene.meshes))
                 yield shoot(seen, seen_from, whole, share)
 
@@ -302,7 +303,9 @@ def _render_product(
     def write() -> None:
         begun = clock.perf_counter()
         report.paths.extend(
-            write_picture(product, files, picture, data, faces, camera, settings, shot)
+            write_picture(
+                product, files, picture, data, faces, camera, settings, shot, report.notes
+            )
         )
         checkpoint.remove()
         _lap(seconds, "write", begun)

@@ -76,6 +76,7 @@ def read_scene(
     notes: list[Note],
     cache: FrameCache | None = None,
     *,
+    base: Usd.TimeCode | None = None,
     unlit: bool = False,
 ) -> Scene:
     """Read what a picture shows.
@@ -86,6 +87,8 @@ def read_scene(
         settings: Purposes, mask, subdivision level, wavelengths.
         notes: What cannot be shown is appended.
         cache: What the frame before left; its notes are not repeated.
+        base: The frame that ``time`` belongs to while the shutter is open, which says what point
+            instancers place; ``time`` itself where None.
         unlit: Leave the lights out.
 
     Raises:
@@ -105,7 +108,7 @@ def read_scene(
             places=settings.integrator == "traced",
         )
         check_lit(stage, lights, notes)
-    shapes = kept.shapes or _read_shapes(stage, time, settings, kept, notes)
+    shapes = kept.shapes or _read_shapes(stage, time, base or time, settings, kept, notes)
     frame = SpectralFrame(
         settings.wavelength_nm, settings.observer, lights.absolute, settings.color_space
     )
@@ -120,13 +123,16 @@ def read_scene(
 def _read_shapes(
     stage: Usd.Stage,
     time: Usd.TimeCode,
+    base: Usd.TimeCode,
     settings: RenderSettings,
     kept: FrameCache,
     notes: list[Note],
 ) -> Shapes:
     """Read the meshes and what they are made of."""
     cache = UsdGeom.XformCache(time)
-    prims, placed = _visible_shapes(stage, time, settings, cache, notes)
+    purposes = frozenset(settings.purposes) | {"default"}
+    instancers = InstancerReader(time, base, purposes, notes, cache)
+    prims, placed = _visible_shapes(stage, time, settings, instancers, notes)
     bindings: dict[str, str | None] = {}
 
     def material_of(prim: Usd.Prim) -> str | None:
@@ -161,7 +167,7 @@ def _read_shapes(
         lambda instancer: _to_world(instancer, cache, scale),
         scale,
         names,
-        time,
+        base,
         notes,
     )
     notes.extend(missing_tile_notes(meshes, materials, index))
@@ -186,7 +192,7 @@ def _visible_shapes(
     stage: Usd.Stage,
     time: Usd.TimeCode,
     settings: RenderSettings,
-    cache: UsdGeom.XformCache,
+    instancers: InstancerReader,
     notes: list[Note],
 ) -> tuple[list[Usd.Prim], list[Placed]]:
     """Return what to draw: visible, of a wanted purpose, inside the mask.
@@ -194,8 +200,6 @@ def _visible_shapes(
     Returns:
         The gprims, and what point instancers place.
     """
-    purposes = frozenset(settings.purposes) | {"default"}
-    instancers = InstancerReader(time, purposes, notes, cache)
     prims: list[Usd.Prim] = []
     placed: list[Placed] = []
     walk = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
@@ -212,7 +216,7 @@ def _visible_shapes(
             placed += instancers.read(prim)
             continue
         purpose = imageable.ComputePurpose()
-        if purpose not in purposes or (
+        if purpose not in instancers.purposes or (
             purpose in _WITH_OWN_VISIBILITY
             and imageable.ComputeEffectiveVisibility(purpose, time) == UsdGeom.Tokens.invisible
         ):

@@ -90,6 +90,8 @@ def _report(worst: NDArray[Any], kinds: list[NDArray[np.bool_]]) -> str:
 def mend_low_rank(
     coefficients: FloatArray,
     basis: NDArray[np.float64],
+    shares: NDArray[np.float64],
+    energy: NDArray[np.float64],
     bad_pixels: BadPixels,
     where: str,
     path: str,
@@ -97,7 +99,7 @@ def mend_low_rank(
 ) -> tuple[FloatArray, NDArray[np.float64]]:
     """Find texels of a factorised map that are not finite or whose spectra are negative.
 
-    Coefficients may be negative, light may not: a texel whose bands sum to less than 0 is bad. A
+    Coefficients may be negative, light may not: a texel with less than no energy is bad. A
     spectrum that dips below 0 here and there, as linearly recovered ones do, is noted only: cutting
     the dips off would shift its colour. Clamping is exact: spectra are cut off at 0 band by band,
     dips too, and what that adds to them is factorised and appended to the basis. A texel that is
@@ -106,6 +108,8 @@ def mend_low_rank(
     Args:
         coefficients: Weights of the basis, shape [height, width, rank].
         basis: Spectra, shape [rank, band_count].
+        shares: Of each band in the width of all [1], shape [band_count].
+        energy: Mean of each spectrum over all of its wavelengths, rendered or not, shape [rank].
         bad_pixels: Whether bad texels are refused or clamped.
         where: File, layer and prim, for the message.
         path: Prim path, for the note.
@@ -123,13 +127,13 @@ def mend_low_rank(
     infinite = np.asarray(np.isinf(rows).any(axis=-1), dtype=bool) & ~nan
     if nan.any() or infinite.any():
         rows = np.where((nan | infinite)[:, None], np.float32(0.0), rows)
-    worst, dark = _lowest_radiance(rows, basis)
+    worst, dark = _lowest_radiance(rows, basis, energy)
     dips = worst < 0.0
     negative = dips if bad_pixels == "clamp" else dark
     bad = negative | nan | infinite
     if not bad.any():
         if dips.any():
-            notes.append(_dip_note(rows, basis, worst, shape, path))
+            notes.append(_dip_note(rows, basis, shares, worst, shape, path))
         return coefficients, basis
     kinds = [mask.reshape(shape) for mask in (negative, nan, infinite)]
     report = _report(worst.reshape(shape), kinds)
@@ -154,6 +158,7 @@ def _chunks(count: int) -> Iterator[slice]:
 def _dip_note(
     rows: FloatArray,
     basis: NDArray[np.float64],
+    shares: NDArray[np.float64],
     worst: FloatArray,
     shape: tuple[int, int],
     path: str,
@@ -162,9 +167,9 @@ def _dip_note(
     below = above = 0.0
     for chunk in _chunks(rows.shape[0]):
         spectra = rows[chunk] @ basis.astype(np.float32)
-        negative = float(np.minimum(spectra, 0.0).sum(dtype=np.float64))
+        negative = float(np.minimum(spectra, 0.0).sum(axis=0, dtype=np.float64) @ shares)
         below -= negative
-        above += float(spectra.sum(dtype=np.float64)) - negative
+        above += float(spectra.sum(axis=0, dtype=np.float64) @ shares) - negative
     y, x = np.unravel_index(int(np.argmin(worst)), shape)
     return Note(
         "spectra-dip",
@@ -175,7 +180,7 @@ def _dip_note(
 
 
 def _lowest_radiance(
-    rows: FloatArray, basis: NDArray[np.float64]
+    rows: FloatArray, basis: NDArray[np.float64], energy: NDArray[np.float64]
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return each texel's lowest radiance where it is negative beyond rounding, else 0.
 
@@ -192,7 +197,7 @@ def _lowest_radiance(
         lowest = radiance.min(axis=1)
         allowance = _ROUNDING * (np.abs(rows[chunk]) @ size)
         worst[chunk] = np.where(lowest < -allowance, lowest, 0.0)
-        dark[chunk] = radiance.sum(axis=1) < -allowance
+        dark[chunk] = rows[chunk] @ energy.astype(np.float32) < -allowance
     return worst, dark
 
 

@@ -239,13 +239,10 @@ def match_patches(
     """
     count = len(spectra.signals)
 
-    def key(name: str) -> int | str:
-        known = None if layout is None else layout.index(name)
-        return re.sub(r"[^a-z0-9.]", "", name.lower()) if known is None else known
-
     if camera_names is not None and spectra.names is not None:
-        rows = {key(name): index for index, name in enumerate(spectra.names)}
-        shared = [(i, rows[key(n)]) for i, n in enumerate(camera_names) if key(n) in rows]
+        seen, measured = _keys(chart, camera_names, spectra.names, layout)
+        rows = {key: index for index, key in enumerate(measured)}
+        shared = [(i, rows[key]) for i, key in enumerate(seen) if key in rows]
         if len(shared) == min(camera_count, count):
             if count != camera_count:
                 kept, whole = len(shared), max(camera_count, count)
@@ -254,7 +251,7 @@ def match_patches(
             pairs = [list(column) for column in zip(*shared, strict=True)]
             return pairs[0], pairs[1], tuple(camera_names[i] for i, _ in shared)
         if shared:
-            absent = next(n for n in spectra.names if key(n) not in map(key, camera_names))
+            absent = spectra.names[next(i for i, key in enumerate(measured) if key not in seen)]
             raise LayerError(
                 f'{chart.where}: the spectra name a patch "{absent}" that the camera values do not '
                 f"({', '.join(camera_names[:4])}, ...); give both the same names"
@@ -270,6 +267,38 @@ def match_patches(
         text += f'"{camera_names[0]}", and so on'
         notes.append(Note("patches-in-order", chart.where, text))
     return list(range(count)), list(range(count)), tuple(names)
+
+
+def _keys(
+    chart: ColorChart, seen: Sequence[str], measured: Sequence[str], layout: Layout | None
+) -> list[list[int | str]]:
+    """Return by what patches of two lists are paired.
+
+    By their names as they are where those of one list are all in the other, else by what is left
+    of them without spaces and signs, or by the layout's numbers.
+
+    Raises:
+        LayerError: Two patches of a list cannot be told apart.
+    """
+    lists: list[list[int | str]] = [[*seen], [*measured]]
+    if not (set(seen) <= set(measured) or set(measured) <= set(seen)):
+        for names in lists:
+            for index, name in enumerate(names):
+                known = None if layout is None else layout.index(str(name))
+                plain = re.sub(r"[^\w.]|_", "", str(name).casefold())
+                names[index] = (plain or name) if known is None else known
+    for what, names, keys in zip(
+        ("camera values", "spectra"), (seen, measured), lists, strict=True
+    ):
+        for index, key in enumerate(keys):
+            first = keys.index(key)
+            if first != index:
+                raise LayerError(
+                    f'{chart.where}: the {what} call patch {first + 1} "{names[first]}" and patch '
+                    f'{index + 1} "{names[index]}", which cannot be told apart; give every patch a '
+                    "name of its own"
+                )
+    return lists
 
 
 def read_camera_values(path: Path) -> tuple[tuple[str, ...], FloatArray]:

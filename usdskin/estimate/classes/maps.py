@@ -22,6 +22,7 @@ FloatImage = NDArray[np.float32]
 
 _COLORS = ("R", "G", "B")
 _NOT_CLASSES = ("A", "Z")
+"""Channels that pictures have beside their colors, where no class is called so."""
 
 
 def write_class_map(path: str | Path, weights: FloatImage, names: Sequence[str]) -> None:
@@ -88,11 +89,11 @@ def read_class_map(path: str | Path, names: Sequence[str], height: int, width: i
 
 def _wanted(path: str | Path, reader: RowReader, names: Sequence[str]) -> tuple[str, ...]:
     """Return the channels that hold the map: a single one of indices, or one per class or color."""
-    there = tuple(name for name in reader.channel_names if name not in _NOT_CLASSES)
-    if len(there) == 1:
-        return there
-    if set(names) <= set(there):
+    if set(names) <= set(reader.channel_names):
         return tuple(names)
+    there = tuple(name for name in reader.channel_names if name not in _NOT_CLASSES)
+    if len(there) == 1 and there[0] not in names:
+        return there
     if len(names) <= len(_COLORS) and set(_COLORS) <= set(there):
         return _COLORS
     colors = "R, G, B, " if len(names) <= len(_COLORS) else ""

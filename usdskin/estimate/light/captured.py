@@ -18,6 +18,7 @@ from usdskin.estimate.light.pictures import clipped_share, panorama_rows, panora
 from usdskin.estimate.light.switched import Switched, luminance_shares, switched_captures
 from usdskin.notes import Note
 from usdskin.prims import CapturedPanorama, Recovery, SpectralCamera
+from usdskin.spectrum import band_widths
 
 FloatImage = NDArray[np.float32]
 
@@ -138,7 +139,7 @@ def captured_map(
     """
     height, width = panorama_size(capture)
     basis = np.concatenate([recovery.matrix.T for recovery in mixture.recoveries])
-    energy = basis.sum(axis=1).astype(np.float32)
+    energy = (basis @ band_widths(camera.wavelength_nm)).astype(np.float32)
 
     def blocks() -> Iterable[tuple[int, FloatImage]]:
         for begin, coefficients in _coefficients(capture, camera, mixture, height, width):

@@ -20,6 +20,7 @@ from usdskin.exr_rows import RowWriter, open_exr_writer
 from usdskin.latlong import texel_solid_angles
 from usdskin.progress import Progress
 from usdskin.spectral_layout import channel_name
+from usdskin.spectrum import band_widths
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
@@ -156,8 +157,9 @@ class _Maps:
     def __init__(self, light: LightMap) -> None:
         self._rgb = light.rgb.astype(np.float32)
         self._wide = np.concatenate((light.rgb, light.basis), axis=1).astype(np.float32)
-        self._bands = np.repeat(np.array([0, 1], np.float32), [3, light.basis.shape[1]])
-        self._total = light.basis.sum(axis=1).astype(np.float32)
+        widths_nm = band_widths(light.wavelength_nm)
+        self._bands = np.concatenate((np.zeros(3), widths_nm)).astype(np.float32)
+        self._total = (light.basis @ widths_nm).astype(np.float32)
         self._size = texel_solid_angles(light.height, light.width)
         self._negative = self._energy = self._outside = 0.0
 

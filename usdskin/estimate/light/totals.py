@@ -13,6 +13,7 @@ from usdskin.latlong import latlong_coordinates, texel_directions, texel_solid_a
 from usdskin.meters import cosine_weights, radiance_at, texel_vectors
 from usdskin.notes import Note
 from usdskin.progress import Progress
+from usdskin.spectrum import band_widths
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
@@ -117,6 +118,7 @@ def add_up(light: LightMap, readings: Readings, progress: Progress) -> Totals:
 class _Sums:
     def __init__(self, light: LightMap, readings: Readings) -> None:
         self._light, self._readings = light, readings
+        self._widths_nm = band_widths(light.wavelength_nm)
         height, width, rank = light.height, light.width, light.rank
         class_count = len(light.classes)
         # Luminance of each class, of coefficients: shape [rank, classes].
@@ -175,8 +177,8 @@ class _Sums:
         at = np.arange(first, flat.shape[0], self._stride)
         spectra = flat[at].astype(np.float64) @ self._light.basis
         size = self._size[begin + at // width]
-        self._negative += float(size @ np.maximum(-spectra, 0.0).sum(axis=1))
-        self._energy += float(size @ np.abs(spectra).sum(axis=1))
+        self._negative += float(size @ np.maximum(-spectra, 0.0) @ self._widths_nm)
+        self._energy += float(size @ np.abs(spectra) @ self._widths_nm)
 
     def finish(self) -> Totals:
         """Return the sums."""

@@ -6,9 +6,11 @@ alone; of other makers any EXR with R, G, B or spectral channels.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,13 +216,22 @@ def read_colors(picture: ComparedPicture) -> FloatArray:
 
 def exposure_scale(file: PictureFile, index: int) -> float:
     """Return the factor that a beauty's camera applied, 1 where the header tells none."""
-    said = file.parts[index].attributes.get("usdskin/exposureScale", "1")
+    return stated_exposure_scale(file.path, file.parts[index].attributes)
+
+
+def stated_exposure_scale(path: Path, header: Mapping[str, Any]) -> float:
+    """Return the factor that a beauty's header tells, 1 where it tells none.
+
+    Raises:
+        ImageError: It is no positive number.
+    """
+    said = header.get("usdskin/exposureScale", "1")
     try:
         scale = float(said)
     except ValueError:
         scale = np.nan
     if not 0.0 < scale < np.inf:
-        raise ImageError(f"{file.path}: usdskin/exposureScale is {said!r}; it must be positive.")
+        raise ImageError(f"{path}: usdskin/exposureScale is {said!r}; it must be positive.")
     return scale
 
 

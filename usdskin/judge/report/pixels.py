@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from usdskin.colorimetry import chromaticity_to_xyz, rgb_to_xyz, xyz_to_lab
 from usdskin.errors import ImageError
 from usdskin.images import read_headers, read_image, read_spectral
+from usdskin.judge.comparison.files import stated_exposure_scale
 from usdskin.judge.report.rasters import beauty_pixels
 from usdskin.judge.report.records import Comparison
 
@@ -121,7 +122,7 @@ def bounding_box(inside: NDArray[np.bool_]) -> Box:
 
 
 def lab_of_beauty(path: Path, comparison: Comparison) -> FloatArray | None:
-    """Return L*, a*, b* of a render against the white that a comparison used.
+    """Return L*, a*, b* of a render, its exposure divided out, against a comparison's white.
 
     Args:
         path: The render.
@@ -132,9 +133,10 @@ def lab_of_beauty(path: Path, comparison: Comparison) -> FloatArray | None:
     """
     if comparison.y_n is None or comparison.white is None or not comparison.y_n > 0.0:
         return None
-    rgba, space, _ = beauty_pixels(path)
+    rgba, space, header = beauty_pixels(path)
     white = comparison.y_n * chromaticity_to_xyz(comparison.white)
-    xyz = np.nan_to_num(rgba[..., :3].astype(np.float64)) @ rgb_to_xyz(space).T
+    scale = stated_exposure_scale(path, header)
+    xyz = np.nan_to_num(rgba[..., :3].astype(np.float64)) @ (rgb_to_xyz(space).T / scale)
     return xyz_to_lab(xyz, white)
 
 
