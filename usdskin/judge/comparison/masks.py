@@ -163,7 +163,8 @@ def selected(picture: ComparedPicture, wanted: Sequence[str]) -> Mask:
         else:
             shown = dict.fromkeys(name for part in labels for name in part.names[1:])
             raise UsageError(
-                f"--select {pattern}: nothing of that name is seen; there are {', '.join(shown)}."
+                f"--select {pattern}: nothing of that name is seen; "
+                + (f"there are {', '.join(shown)}." if shown else "the picture shows no prim at all.")
             )
     return mask
 
