@@ -174,8 +174,8 @@ def _scale(report: CaptureReport) -> Statement:
     if missing < -_MISSING:
         advice_text = (
             f"That is {_percent(-missing)} too much: check both readings and their directions, "
-            "the meter's shadow among them. Where the surface that was read is colored, some percent "
-            "are the camera's: its values are no luminances until spectra are estimated."
+            "the meter's shadow among them. Where the surface that was read is colored, some "
+            "percent are the camera's: its values are no luminances until spectra are estimated."
         )
         return Statement("Scale", text, (advice_text,))
     return Statement("Scale", text)

@@ -162,10 +162,8 @@ def selected(picture: ComparedPicture, wanted: Sequence[str]) -> Mask:
                 break
         else:
             shown = dict.fromkeys(name for part in labels for name in part.names[1:])
-            raise UsageError(
-                f"--select {pattern}: nothing of that name is seen; "
-                + (f"there are {', '.join(shown)}." if shown else "the picture shows no prim at all.")
-            )
+            there = f"there are {', '.join(shown)}" if shown else "the picture shows no prim at all"
+            raise UsageError(f"--select {pattern}: nothing of that name is seen; {there}.")
     return mask
 
 
