@@ -71,8 +71,11 @@ FLIP_REFERENCE = (
 BLACK_AND_WHITE = 0.967388
 
 
-def header(units: str = "relative", observer: str = "cie1931_2", exposure: float = 1.0) -> dict:
+def header(
+    units: str = "relative", observer: str = "cie1931_2", exposure: float = 1.0, **more: str
+) -> dict:
     return {
+        **more,
         "usdskin/observer": observer,
         "usdskin/units": units,
         "usdskin/exposureScale": repr(exposure),
@@ -326,6 +329,21 @@ def test_spectral_figures_are_those_of_the_spectra(tmp_path):
     assert figures["rmse"] == pytest.approx(np.sqrt((error**2).mean()) / true.max(), rel=1e-4)
     assert figures["gfc"] == pytest.approx(goodness_of_fit(_redder(true), true).mean(), abs=1e-6)
     assert figures["p05gfc"] <= figures["gfc"] <= 1.0
+
+
+@pytest.mark.parametrize("sample_type", ["float", "half"])
+def test_spectra_beside_another_render_are_refused(tmp_path, sample_type):
+    weights, true = xyz_weights(GRID), surfaces() * LIGHT
+    version = {"usdskin/version": "0.1"}
+    given = {"spectra": true, "sample_type": sample_type, **version}
+    truth = write_picture(tmp_path / "truth.exr", true @ weights, **given)
+    found = write_picture(tmp_path / "found.exr", true @ weights, **given)
+    assert compare_pictures(truth, found).as_json()["deltaE2000"]["max"] < 0.2
+    write_picture(found, 1.02 * true @ weights, sample_type=sample_type, **version)
+    message = r"found.spectral.exr: is of another render than found.exr beside it; render both"
+    for name in ("found.exr", "found.spectral.exr"):
+        with pytest.raises(ImageError, match=message):
+            compare_pictures(truth, tmp_path / name)
 
 
 def test_black_where_the_truth_is_black_fits(tmp_path):

@@ -763,3 +763,29 @@ def test_grey_in_a_lamps_light_is_grey_beside_the_lamps_white_to_any_observer(
     render(text, *given)
     card = read_image("shot.png").pixels[SIZE // 2, SIZE // 2, :3]
     assert np.ptp(255 * card) <= 1.01
+
+
+def notes_of(capfd, text: str, *arguments: str) -> dict[str, str]:
+    """Render, and return the codes and messages of what is noted."""
+    Path("shot.usda").write_text(text)
+    given = ["--json", "render", "shot.usda", "out.exr", "-r", "8", "8", "--no-png", *arguments]
+    assert cli.main(given) == 0
+    events = [json.loads(line) for line in capfd.readouterr().out.splitlines()]
+    return {event["code"]: event["message"] for event in events if event["event"] == "note"}
+
+
+@pytest.mark.parametrize(
+    ("prims", "flags"),
+    [((), ()), ((quad("Card"),), ("--mask", "/Sky")), ((quad("Card", z=20.0),), ())],
+)
+def test_a_picture_of_nothing_says_so(here, capfd, prims, flags):
+    assert notes_of(capfd, stage_text(WHITE, quad("Card"))) == {}
+    found = notes_of(capfd, stage_text(WHITE, *prims), *flags)
+    assert "nothing" in found["nothing-seen"]
+
+
+def test_spectra_left_of_an_earlier_render_are_noted(here, capfd):
+    text = stage_text(WHITE, quad("Card"))
+    assert notes_of(capfd, text, "--spectral") == {}
+    assert "earlier render" in notes_of(capfd, text)["spectra-left"]
+    assert Path("out.spectral.exr").is_file()

@@ -157,6 +157,26 @@ def write_picture(
     return written
 
 
+def output_notes(picture: Picture, files: dict[str, Path], product: Product) -> list[Note]:
+    """Return notes that nothing is seen, and that spectra of an earlier render are left beside.
+
+    Args:
+        picture: The rendered arrays.
+        files: What is written of it.
+        product: What it is of.
+    """
+    notes = []
+    if not picture.xyza[..., 3].any():
+        text = "sees nothing: look at its transform and clipping range, at --mask and purposes."
+        notes.append(Note("nothing-seen", product.camera, text))
+    if "exr" in files and "spectral" not in files:
+        left = files["exr"].with_suffix(".spectral.exr")
+        if left.is_file():
+            text = "is left of an earlier render; remove it, or render with --spectral."
+            notes.append(Note("spectra-left", str(left), text))
+    return notes
+
+
 def previewing(
     product: Product, camera: Camera, settings: RenderSettings, shot: Shot
 ) -> Callable[[Path, Arrays], None]:

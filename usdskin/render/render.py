@@ -47,7 +47,7 @@ from usdskin.render.motion import (
     unkept_note,
 )
 from usdskin.render.opening import opened
-from usdskin.render.outputs import Shot, matte_names, previewing, write_picture
+from usdskin.render.outputs import Shot, matte_names, output_notes, previewing, write_picture
 from usdskin.render.overrides import RenderOverrides
 from usdskin.render.products import Product, prepare_folders
 from usdskin.render.settings import resolve_settings
@@ -275,6 +275,7 @@ def _render_product(
                 yield shoot(seen, seen_from, whole, share)
 
         picture = mean_picture(moments(), len(exposure.cameras))
+    report.notes.extend(output_notes(picture, files, product))
     data: dict[str, NDArray[Any]] = {}
     if sources - set(TRACED_SOURCES) - set(MATTES):
         if "irradiance" in sources:

@@ -26,6 +26,8 @@ FloatArray = NDArray[np.float64]
 SPECTRAL_SUFFIX = ".spectral.exr"
 _RGB = ("R", "G", "B")
 _MOST_MB = 2**15  # of a file that is read a block at a time
+_CHECKED_ROWS, _CHECKED_BLOCKS = 16, 16
+_HALF, _LEAST_HALF = 2e-3, 1e-6  # what half floats round away
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +184,38 @@ def _checked(picture: ComparedPicture) -> ComparedPicture:
     if len({size[1:] for size in sizes}) > 1:
         said = ", ".join(f"{name} {width} x {height}" for name, width, height in sorted(sizes))
         raise ImageError(f"{picture.path}: its files differ in size ({said}); render them anew.")
+    _check_same_render(picture)
     return picture
+
+
+def _check_same_render(picture: ComparedPicture) -> None:
+    """Refuse spectra beside a picture of another render, whose preview is not that picture.
+
+    A render without ``--spectral`` leaves the spectra of the one before where they are.
+    """
+    beauty, spectral = picture.beauty, picture.spectral
+    if beauty is None or spectral is None or beauty.path == spectral.path:
+        return
+    parts = [file.parts[file.color_part or 0] for file in (beauty, spectral)]
+    if beauty.color_part is None or spectral.color_part is None:
+        return
+    if any("usdskin/version" not in part.attributes for part in parts):
+        return
+    height = parts[0].height
+    with (
+        open_rows(beauty.path, _MOST_MB, part=beauty.color_part, channels=_RGB) as colors,
+        open_rows(spectral.path, _MOST_MB, part=spectral.color_part, channels=_RGB) as preview,
+    ):
+        for begin in range(0, height, max(_CHECKED_ROWS, height // _CHECKED_BLOCKS)):
+            end = min(begin + _CHECKED_ROWS, height)
+            pair = [reader.rows(begin, end).astype(np.float64) for reader in (colors, preview)]
+            here, there = (np.where(np.isfinite(values), values, 0.0) for values in pair)
+            largest = np.maximum(np.abs(here), np.abs(there)).max(axis=-1, keepdims=True)
+            if (np.abs(here - there) > _HALF * largest + _LEAST_HALF).any():
+                raise ImageError(
+                    f"{spectral.path}: is of another render than {beauty.path.name} beside it; "
+                    "render both again with --spectral, or remove the one that is out of date."
+                )
 
 
 def color_space_of(file: PictureFile, index: int) -> str:
