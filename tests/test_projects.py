@@ -11,6 +11,7 @@ from usdskin.meshfiles import MeshFile, angle_weighted_normals
 from usdskin.notes import Note
 from usdskin.prims import read_skin
 from usdskin.projects import TEMPLATES, _bend, _cube_sphere, new_project
+from usdskin.render.lights import read_lights
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM
 
 from pxr import Usd, UsdGeom, UsdRender, UsdValidation  # isort: skip
@@ -125,3 +126,16 @@ def test_project_renders_as_it_is(project, tmp_path, monkeypatch):
     assert 0.1 < subject.mean() < 0.9
     red, _, blue = pixels[subject][:, :3].mean(axis=0)
     assert red > 1.5 * blue
+
+
+def test_a_light_of_any_kind_takes_the_place_of_the_projects_own(tmp_path):
+    """What `usdskin estimate light` writes is a DomeLight by itself."""
+    shot = new_project(tmp_path / "head")
+    (shot.parent / "light.usda").write_text(
+        '#usda 1.0\n(\n    defaultPrim = "Sky"\n    metersPerUnit = 1\n    upAxis = "Y"\n)\n'
+        'def DomeLight "Sky" (prepend apiSchemas = ["SpectralLightAPI"])\n'
+        '{\n    uniform token inputs:spectral:source = "blackbody"\n}\n'
+    )
+    lights = read_lights(open_stage(shot), Usd.TimeCode.Default(), DEFAULT_WAVELENGTHS_NM)
+    assert [light.path for light in lights.domes] == ["/World/Light"]
+    assert not lights.distants

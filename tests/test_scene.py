@@ -789,3 +789,32 @@ def test_spectra_left_of_an_earlier_render_are_noted(here, capfd):
     assert notes_of(capfd, text, "--spectral") == {}
     assert "earlier render" in notes_of(capfd, text)["spectra-left"]
     assert Path("out.spectral.exr").is_file()
+
+
+@pytest.mark.parametrize("name", ["st", "UVMap"])
+def test_a_mesh_without_the_coordinates_of_its_texture_is_named(here, capfd, name):
+    write_png(Path("map.png"), np.full((2, 2, 3), 99, np.uint8))
+    texture = define(
+        "Shader",
+        "Texture",
+        """uniform token info:id = "UsdUVTexture"
+    asset inputs:file = @./map.png@
+    float2 inputs:st.connect = </Cloth/Reader.outputs:result>
+    color3f outputs:rgb""",
+    )
+    reader = define(
+        "Shader",
+        "Reader",
+        f"""uniform token info:id = "UsdPrimvarReader_float2"
+    string inputs:varname = "{name}"
+    float2 outputs:result""",
+    )
+    color = "color3f inputs:diffuseColor.connect = </Cloth/Texture.outputs:rgb>"
+    cloth = surface("Cloth", color, f"{texture}\n{reader}")
+    found = notes_of(
+        capfd, stage_text(WHITE, cloth, quad("Card", "rel material:binding = </Cloth>"))
+    )
+    if name == "st":
+        assert found == {}
+    else:
+        assert "no primvars:UVMap" in found["texture-coordinates-missing"]

@@ -262,7 +262,8 @@ def Xform "World"
     {
     }
 
-    def Xform "Light" (
+    # Without a type of its own it is what light.usda holds: a DomeLight, or several lights.
+    def "Light" (
         prepend references = @./light.usda@
     )
     {

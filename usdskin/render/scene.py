@@ -14,6 +14,7 @@ from usdskin.colorimetry import xyz_weights
 from usdskin.errors import LayerError
 from usdskin.layers import describe
 from usdskin.notes import Note
+from usdskin.render.coordinates import missing_coordinates_notes
 from usdskin.render.detail import add_detail, detail_primvars
 from usdskin.render.frame_cache import FrameCache, Shapes
 from usdskin.render.gprims import ROWS, is_gprim, read_gprim, unsupported_note
@@ -171,6 +172,7 @@ def _read_shapes(
         notes,
     )
     notes.extend(missing_tile_notes(meshes, materials, index))
+    notes.extend(missing_coordinates_notes(meshes, materials, index))
     return Shapes(tuple(meshes), materials, index)
 
 
