@@ -249,6 +249,23 @@ def test_small_photographs_have_the_noise_of_a_camera_taken_together(pixels, ful
     assert float(words["--read-noise"]) == read_noise
 
 
+@pytest.mark.parametrize("flag", ["--camera", "--chart", "--light"])
+def test_what_is_not_there_is_told_at_once_and_leaves_no_folder(tmp_path, capsys, flag):
+    output = tmp_path / "out"
+    room = Path(__file__).resolve().parents[1] / "stages" / "room_fluorescent"
+    assert main(["-q", "prove", str(room), "-o", str(output), flag, "nope"]) in (2, 3)
+    assert "nope" in capsys.readouterr().err
+    assert not output.exists()
+
+
+def test_a_folder_in_which_no_step_was_done_may_be_used_again(tmp_path):
+    Journal(tmp_path / "out", resume=False)
+    journal = Journal(tmp_path / "out", resume=False)
+    journal.step("one", "do it", "", [], lambda doing: None)
+    with pytest.raises(UsageError, match="holds a proof already"):
+        Journal(tmp_path / "out", resume=False)
+
+
 def test_command_refuses_what_is_no_set(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
 

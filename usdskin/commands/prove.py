@@ -174,11 +174,16 @@ def _judge(reporter: Reporter, proof: Proof) -> None:
         return
     for row in proof.content["comparisons"]:
         found = row["result"]["deltaE2000"]
-        click.echo(
+        text = (
             f"{row['name']}, {row['integrator']}: dE2000 mean {found['mean']:.3f}, "
-            f"p95 {found['p95']:.3f}, max {found['max']:.3f}",
-            err=True,
+            f"p95 {found['p95']:.3f}, max {found['max']:.3f}"
         )
+        noise = (row.get("noise") or {}).get("deltaE2000")
+        if noise is not None and noise["max"] > 0.0:
+            text += (
+                f"; two renders of the truth are {noise['mean']:.3f} apart, p95 {noise['p95']:.3f}"
+            )
+        click.echo(text, err=True)
     for row in proof.content.get("patches", []):
         for kind, title in (("leaveOneOut", "left out in turn"), ("relit", "relit")):
             found = (row[kind] or {}).get("deltaE2000")

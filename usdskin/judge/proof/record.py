@@ -112,11 +112,11 @@ class Journal:
             if folder.exists() and not folder.is_dir():
                 raise UsageError(f"{folder}: is a file; name a folder")
             if path.exists():
-                if not resume:
+                self._before = _read_journal(path)
+                if self._before and not resume:
                     raise UsageError(
                         f"{folder}: holds a proof already; go on with --resume or name another"
                     )
-                self._before = _read_journal(path)
             elif folder.exists() and any(folder.iterdir()):
                 raise UsageError(f"{folder}: is there already; name a folder that is new or empty")
             folder.mkdir(parents=True, exist_ok=True)

@@ -12,6 +12,9 @@ from usdskin.judge.proof.options import ProofOptions
 from usdskin.judge.proof.place import Place
 from usdskin.judge.proof.record import Doing, Journal, StepRecord
 from usdskin.judge.proof.shots import check_shot, subject_and_tone
+from usdskin.judge.shoot.chart_patches import read_chart
+from usdskin.judge.shoot.sensitivity import read_sensitivity
+from usdskin.layers import open_stage
 from usdskin.progress import Progress, SilentProgress
 
 Tell = Callable[[StepRecord, bool], None]
@@ -41,6 +44,11 @@ class Steps:
                 "charts), see docs/proof.md"
             )
         check_shot(self.shot, subject_and_tone(options.subject, options.tone))
+        # What is wrong with these would show after minutes.
+        read_sensitivity(options.camera)
+        read_chart(options.chart)
+        if options.light is not None:
+            open_stage(options.light)
         self.options = options
         self.progress = progress or SilentProgress()
         self._tell, self._draw = tell, draw
