@@ -287,15 +287,15 @@ def _keys(
                 known = None if layout is None else layout.index(str(name))
                 plain = re.sub(r"[^\w.]|_", "", str(name).casefold())
                 names[index] = (plain or name) if known is None else known
-    for what, names, keys in zip(
+    for what, given, keys in zip(
         ("camera values", "spectra"), (seen, measured), lists, strict=True
     ):
         for index, key in enumerate(keys):
             first = keys.index(key)
             if first != index:
                 raise LayerError(
-                    f'{chart.where}: the {what} call patch {first + 1} "{names[first]}" and patch '
-                    f'{index + 1} "{names[index]}", which cannot be told apart; give every patch a '
+                    f'{chart.where}: the {what} call patch {first + 1} "{given[first]}" and patch '
+                    f'{index + 1} "{given[index]}", which cannot be told apart; give every patch a '
                     "name of its own"
                 )
     return lists
