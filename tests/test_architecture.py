@@ -37,7 +37,7 @@ ABOVE_STEPS = (
 """In the order in which each may import those before it."""
 
 KERNELS = "usdskin.warp_kernels"
-PURE = ("usdskin", "usdskin.errors", "usdskin.notes")
+PURE = ("usdskin", "usdskin.errors", "usdskin.notes", "usdskin.stops")
 """Modules anyone may import, which themselves import the standard library alone."""
 
 HEAVY = {"pxr", "warp", "numpy", "colour", "scipy", "open3d", "OpenImageIO", "OpenEXR"} | {

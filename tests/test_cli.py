@@ -83,7 +83,7 @@ def test_others_are_told_of_the_end_of_a_process(tmp_path):
         "import atexit, pathlib, sys; from usdskin import cli; "
         "sys.argv = ['usdskin', '--version']; "
         "old = cli.main; "
-        "cli.main = lambda: [old(), atexit.register(pathlib.Path('told').touch)][0]; "
+        "cli.main = lambda **_: [old(), atexit.register(pathlib.Path('told').touch)][0]; "
         "cli.run()"
     )
     subprocess.run([sys.executable, "-c", script], check=True, cwd=tmp_path)
@@ -393,6 +393,95 @@ def test_sigint_exits_with_130(step):
         assert cli.main(["render", "shot.usda"]) == 130
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def lost_in_an_import(tmp_path, monkeypatch):
+    """Make a module whose import swallows an interrupt, as extensions do."""
+    (tmp_path / "swallows.py").write_text(
+        "import os, signal, time\n"
+        "try:\n    os.kill(os.getpid(), signal.SIGINT); time.sleep(0.05)\n"
+        "except BaseException:\n    pass\n"
+        "whole = True\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "swallows", raising=False)
+
+
+def test_an_interrupt_of_an_import_waits_for_its_end(step, tmp_path, monkeypatch, capsys):
+    lost_in_an_import(tmp_path, monkeypatch)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    alarm = signal.getsignal(signal.SIGALRM)
+
+    def work():
+        import swallows
+
+        assert swallows.whole
+        time.sleep(10)
+
+    step.does = work
+    try:
+        assert cli.main(["render", "shot.usda"]) == 130
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        assert signal.getsignal(signal.SIGALRM) is alarm
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err == "usdskin: error: interrupted.\n"
+
+
+@pytest.mark.parametrize("becomes", [None, LayerError("x"), ValueError("x")])
+def test_an_interrupt_that_was_lost_or_became_an_error_counts(step, becomes, capsys):
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def work():
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(10)
+        except KeyboardInterrupt:
+            if becomes is not None:
+                raise becomes from None
+
+    step.does = work
+    try:
+        assert cli.main(["render", "shot.usda"]) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err == "usdskin: error: interrupted.\n"
+
+
+def test_an_ignored_interrupt_stays_ignored(step):
+    """A job in the background of a shell starts so."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    step.does = lambda: os.kill(os.getpid(), signal.SIGINT)
+    try:
+        assert cli.main(["render", "shot.usda"]) == 0
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_a_render_at_any_time(tmp_path):
+    """From when the process listens, which it says here by its first line, to the first pixels."""
+    stage = Path(__file__).resolve().parents[1] / "stages" / "sphere" / "sphere.usda"
+    script = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from usdskin.stops import Stops; hear = Stops.hear; "
+        "Stops.hear = lambda *a, **k: (hear(*a, **k), print('heard', flush=True))[0]; "
+        "from usdskin.__main__ import run; run()"
+    )
+    output = tmp_path / "x.exr"
+    command = [sys.executable, "-c", script, "-q", "render", str(stage), str(output), "-w", "3000"]
+    for wait_s in [0.05 * step for step in range(14)]:
+        child = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+        )
+        assert child.stdout.readline() == "heard\n"
+        time.sleep(wait_s)
+        child.send_signal(signal.SIGINT)
+        printed, told = child.communicate(timeout=60)
+        assert (child.returncode, printed) == (130, ""), f"{wait_s} s: {told}"
+        assert told.startswith("usdskin: error: interrupted.") and told.count("\n") == 1
+        assert not output.exists()
 
 
 def test_main_may_run_outside_the_main_thread(step):

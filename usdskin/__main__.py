@@ -1,8 +1,20 @@
-"""``python -m usdskin``."""
+"""``python -m usdskin`` and the script ``usdskin``: a process that hears Ctrl-C from its start."""
 
 from __future__ import annotations
 
-from usdskin.cli import run
+from typing import NoReturn
+
+from usdskin.stops import Stops
+
+
+def run() -> NoReturn:
+    """Run the command line and end the process with its exit code."""
+    stops = Stops()
+    stops.hear(last=True)
+    from usdskin import cli
+
+    cli.run(stops)
+
 
 if __name__ == "__main__":
     run()

@@ -10,11 +10,10 @@ import atexit
 import errno
 import gc
 import os
-import signal
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, NoReturn
 
 import click
@@ -41,6 +40,7 @@ from usdskin.commands import (
 from usdskin.commands.options import StepCommand, global_options, with_paragraph_marks
 from usdskin.commands.reporter import GlobalOptions, print_event
 from usdskin.errors import EXIT_DEVICE, EXIT_INPUT, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, UsdSkinError
+from usdskin.stops import Stops, TerminatedError
 
 EXIT_INTERRUPTED = 130
 EXIT_BROKEN_PIPE = 141
@@ -63,10 +63,6 @@ _FULL = {errno.ENOSPC, errno.EDQUOT}
 
 _ALLOCATIONS = 10_000
 """Objects between two searches for cycles: imports make 300 000 that stay."""
-
-
-class _TerminatedError(BaseException):
-    """SIGTERM arrived; unwinds so that temporary files are removed."""
 
 
 class UsdSkinGroup(click.Group):
@@ -121,11 +117,14 @@ for _command in (
     cli.add_command(_command)
 
 
-def run() -> NoReturn:
+def run(stops: Stops | None = None) -> NoReturn:
     """Run the command line and end the process with its exit code.
 
     What asked to be told of the end is told, but memory goes with the process: to free the objects
     of Warp and pxr one by one takes a third of a second.
+
+    Args:
+        stops: Heard a Ctrl-C that came before.
     """
     code: list[int] = []
 
@@ -138,24 +137,25 @@ def run() -> NoReturn:
 
     atexit.register(end)  # the first registered is the last called
     gc.set_threshold(_ALLOCATIONS)
-    code.append(main())
+    code.append(main(stops=stops))
     sys.exit(code[0])
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None, stops: Stops | None = None) -> int:
     """Run one command and return its exit code (see ``usdskin.errors``).
 
     Args:
         arguments: Command line without the program's name; ``sys.argv`` by default.
+        stops: Hears Ctrl-C and SIGTERM since before the call, if anything does.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in given
     try:
-        with _terminable():
+        with stops or Stops():
             return _run(given)
     except KeyboardInterrupt as stop:
         return _fail(as_json, "Interrupted", _with_notes("interrupted.", stop), EXIT_INTERRUPTED)
-    except _TerminatedError as stop:
+    except TerminatedError as stop:
         return _fail(as_json, "Terminated", _with_notes("terminated.", stop), EXIT_TERMINATED)
     except UsdSkinError as error:
         return _fail(as_json, type(error).__name__, str(error), error.exit_code)
@@ -202,24 +202,6 @@ def _complete_shell() -> None:
         raise click.exceptions.Exit(
             shell_complete(cli, {}, "usdskin", "_USDSKIN_COMPLETE", instruction)
         )
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Turn SIGTERM into an exception while the command runs."""
-
-    def terminate(_signal: int, _frame: object) -> None:
-        raise _TerminatedError
-
-    try:
-        before = signal.signal(signal.SIGTERM, terminate)
-    except ValueError:  # not the main thread: whoever owns it decides
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _with_notes(message: str, stop: BaseException) -> str:
