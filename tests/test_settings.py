@@ -67,6 +67,36 @@ def var(name, body=""):
     return f'def RenderVar "{name}"\n{{\n{body}\n}}\n'
 
 
+# Flags that would be ignored
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        ({"bounces": 1}, "--bounces 1: .*--integrator traced"),
+        ({"target_error": 0.01}, "--target-error 0.01: .*--integrator traced"),
+        ({"illuminant": "XX"}, "--illuminant XX: .*neither a known name"),
+        ({"output": Path("a.png"), "aovs": ("N", "P")}, "a.png: --aov N,P: .*such as a.exr"),
+        ({"output": Path("a.png"), "png": False}, "a.png: --no-png .*such as a.exr"),
+    ],
+)
+def test_a_flag_that_would_mean_nothing_is_refused(resolve, flags, said):
+    with pytest.raises(UsageError, match=said):
+        resolve(**flags)
+
+
+def test_flags_that_say_what_is_so_anyway_are_taken(resolve):
+    resolve(bounces=0, target_error=0.0)
+    resolve(bounces=1, target_error=0.01, integrator="traced")
+    assert resolve(output=Path("a.png"), aovs=("none",), png=True)[0].products[0].exr is None
+
+
+def test_authored_settings_of_the_other_integrator_wait_for_it(resolve):
+    authored = with_settings("int usdskin:bounces = 1\nfloat usdskin:targetError = 0.03")
+    job, _ = resolve(**authored)
+    assert (job.settings.integrator, job.settings.bounces) == ("map", 1)
+
+
 # Precedence
 
 
@@ -355,7 +385,12 @@ def test_spectral_and_preview_lie_beside_the_picture(resolve):
 
 
 def test_output_that_is_a_png_is_only_that(resolve):
-    (picture,) = resolve(output=Path("a.png"), aovs=("N",))[0].products
+    text = with_settings(
+        "rel products = </Render/Beauty>",
+        others=product("Beauty", "rel orderedVars = </Render/N>")
+        + var("N", 'string sourceName = "N"'),
+    )
+    (picture,) = resolve(**text, output=Path("a.png"))[0].products
     assert picture.files == (Path("a.png"),)
     assert picture.aovs == ()
 

@@ -273,12 +273,25 @@ def _name_output(
         spectral_asked |= asked.spectral
     if output.suffix.lower() not in (".exr", ".png"):
         raise UsageError(f"{output}: a picture's name ends in .exr or .png.")
+    if output.suffix.lower() == ".png":
+        _check_png_alone(output, overrides)
     if output.is_dir():
         raise UsageError(f"{output}: this is a folder; give a file name, such as picture.exr.")
     everything = WantedParts(
         beauty=True, spectral=spectral_asked, half=half, aovs=tuple(aovs.values())
     )
     return _with_files(first, output, everything, overrides, spectral)
+
+
+def _check_png_alone(output: Path, overrides: RenderOverrides) -> None:
+    exr = output.with_suffix(".exr").name
+    if overrides.png is False:
+        raise UsageError(f"{output}: --no-png leaves nothing to write; name an EXR, such as {exr}.")
+    if overrides.aovs and tuple(overrides.aovs) != ("none",):
+        listed = ",".join(overrides.aovs)
+        raise UsageError(
+            f"{output}: --aov {listed}: a PNG holds no other parts; name an EXR, such as {exr}."
+        )
 
 
 def _name_product(

@@ -13,8 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-from usdskin.colorimetry import Observer, color_space_names, linear_color_space
-from usdskin.errors import LayerError, UsageError
+import numpy as np
+from numpy.typing import NDArray
+
+from usdskin.colorimetry import Observer, color_space_names, illuminant, linear_color_space
+from usdskin.errors import LayerError, UsageError, UsdSkinError
 from usdskin.frames import frame_path, has_placeholder
 from usdskin.notes import Note
 from usdskin.prims import read_render_settings_api
@@ -252,6 +255,9 @@ def _read_settings(
     }
     if traced and given.spectral_method == "brute":
         raise UsageError("--spectral brute is an oracle for maps; use --integrator map with it.")
+    if not traced:
+        _refuse_traced_flags(given)
+    _check_illuminant(given.illuminant, values["wavelength_nm"])
     return RenderSettings(
         **values,
         prim_path=str(prims[0].GetPath()) if prims else None,
@@ -267,6 +273,26 @@ def _read_settings(
         threads=given.threads,
         device=given.device,
     )
+
+
+def _refuse_traced_flags(given: RenderOverrides) -> None:
+    for name in ("target_error", "bounces"):
+        value, flag = getattr(given, name), _OPINIONS[name].flag
+        if value:
+            raise UsageError(
+                f"{flag} {value:g}: means something for --integrator traced only; give that too, "
+                f"or leave {flag} out."
+            )
+
+
+def _check_illuminant(name: str | None, wavelength_nm: NDArray[np.float64]) -> None:
+    """Refuse a name that is no lamp's, whether or not the stage has a light to take it."""
+    if name is None:
+        return
+    try:
+        illuminant(name, wavelength_nm)
+    except UsdSkinError as error:
+        raise UsageError(f"--illuminant {name}: {error}") from None
 
 
 def _fallback(attribute: str) -> Any:
