@@ -129,6 +129,15 @@ def test_no_command_shows_the_help(capsys):
     assert "Commands:" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("group", ["calibrate", "estimate"])
+def test_a_group_without_a_command_shows_its_help(group, capsys):
+    assert cli.main([group]) == 0
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    assert shown.out.startswith(f"Usage: usdskin {group} ")
+    assert "\nCommands:\n" in shown.out
+
+
 @pytest.mark.parametrize("name", sorted(cli.cli.commands))
 def test_every_command_has_help_with_an_example(name, capsys):
     assert cli.main([name, "--help"]) == 0

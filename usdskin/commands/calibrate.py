@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from usdskin.commands.drawing import check_plot, draw_plot
-from usdskin.commands.options import StepCommand, names, with_paragraph_marks
+from usdskin.commands.options import StepCommand, StepGroup, names, with_paragraph_marks
 from usdskin.commands.reporter import GlobalOptions, Reporter
 from usdskin.errors import UsageError
 
@@ -32,7 +32,7 @@ def _size(value: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-@click.group("calibrate", help=with_paragraph_marks(_HELP))
+@click.group("calibrate", cls=StepGroup, help=with_paragraph_marks(_HELP))
 def calibrate() -> None:
     """Hold the commands that measure instruments."""
 

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from usdskin.commands.drawing import check_plot, draw_plot
-from usdskin.commands.options import StepCommand, with_paragraph_marks
+from usdskin.commands.options import StepCommand, StepGroup, with_paragraph_marks
 from usdskin.commands.reporter import GlobalOptions, Reporter
 from usdskin.errors import UsageError
 
@@ -45,7 +45,7 @@ def _named_path(value: str) -> tuple[str, Path]:
     return name, Path(file)
 
 
-@click.group("estimate", help=with_paragraph_marks(_HELP))
+@click.group("estimate", cls=StepGroup, help=with_paragraph_marks(_HELP))
 def estimate() -> None:
     """Hold the commands that estimate spectra."""
 

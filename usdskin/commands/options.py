@@ -84,6 +84,14 @@ class StepCommand(click.Command):
         self.params.extend(global_options(hidden=True))
 
 
+class StepGroup(click.Group):
+    """Commands that share a name; without one of them it shows its help, as ``usdskin`` does."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Ask for the help where nothing is asked for."""
+        return super().parse_args(ctx, args or ["--help"])
+
+
 class RenderCommand(StepCommand):
     """A command whose ``--spectral`` may stand alone before an argument."""
 
