@@ -667,7 +667,7 @@ MOVING = quad(
 )
 
 
-def test_frames_show_their_own_moment_and_existing_ones_are_kept(here):
+def test_frames_show_their_own_moment_and_existing_ones_are_kept(here, capfd):
     Path("shot.usda").write_text(stage_text(WHITE, MOVING))
     command = ["-q", "render", "shot.usda", "out.####.exr", "-r", "32", "32", "-p", "4",
                "--filter", "box", "--no-png"]  # fmt: skip
@@ -675,11 +675,21 @@ def test_frames_show_their_own_moment_and_existing_ones_are_kept(here):
     for frame, first in ((1, 0), (2, 8), (3, 16)):
         alpha = read_image(f"out.{frame:04}.exr").pixels[16, :, 3]
         np.testing.assert_array_equal(np.flatnonzero(alpha), np.arange(first, first + 16))
-    Path("out.0002.exr").write_bytes(b"mine")
+    mine = Path("out.0001.exr").read_bytes()
+    Path("out.0002.exr").write_bytes(mine)
     Path("out.0003.exr").unlink()
+    capfd.readouterr()
     assert cli.main([*command, "-f", "1-3", "--skip-existing"]) == 0
-    assert Path("out.0002.exr").read_bytes() == b"mine"
+    told = capfd.readouterr().err
+    assert told.count("frames-skipped <out.####.exr>: 2 frames were there already") == 1
+    assert Path("out.0002.exr").read_bytes() == mine
     assert Path("out.0003.exr").exists()
+    Path("out.0001.exr").write_bytes(b"")
+    Path("out.0003.exr").write_bytes(b"no picture")
+    assert cli.main([*command, "-f", "1-3", "--skip-existing"]) == 0
+    assert "1 frame was there already" in capfd.readouterr().err
+    assert Path("out.0001.exr").read_bytes() == mine
+    assert read_image("out.0003.exr").pixels.shape[:2] == (32, 32)
     assert sorted(path.name for path in here.glob("out*")) == [f"out.000{k}.exr" for k in (1, 2, 3)]
 
 

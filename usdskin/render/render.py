@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from usdskin import compilation
 from usdskin.device import Workers, open_workers
-from usdskin.errors import FramesError, UsdSkinError
+from usdskin.errors import FramesError, ImageError, UsdSkinError
 from usdskin.frames import frame_path
+from usdskin.images import read_headers
 from usdskin.notes import Note
 from usdskin.progress import Progress
 from usdskin.render.aovs import MATTES, TRACED_SOURCES
@@ -77,6 +78,7 @@ def render_stage(
     """
     begun = clock.perf_counter()
     report = RenderReport([], [])
+    skipped = 0
     with opened(stage_path, overrides, report.notes) as stage:
         job = resolve_settings(stage, overrides, output, report.notes)
         prepare_folders(file for product in job.products for file in product.files)
@@ -92,7 +94,9 @@ def render_stage(
             with FrameWriter(None if len(job.frames) == 1 else failed) as writer:
                 for frame in job.frames:
                     try:
-                        _render_frame(stage, job, frame, loader, workers, progress, report, writer)
+                        skipped += not _render_frame(
+                            stage, job, frame, loader, workers, progress, report, writer
+                        )
                     except UsdSkinError as error:
                         loader.forget()
                         writer.settle()  # the frame before comes first
@@ -104,8 +108,16 @@ def render_stage(
     if report.failures and len(report.failures) == len(job.frames):
         number, reason = next(iter(report.failures.items()))
         raise FramesError(f"every frame failed; the first, {number}: {reason}")
+    if skipped:
+        report.notes.append(_skipped_note(skipped, job))
     _drop_repeated(report.notes)
     return report
+
+
+def _skipped_note(count: int, job: RenderJob) -> Note:
+    there = f"{count} frame was" if count == 1 else f"{count} frames were"
+    message = f"{there} there already and stay (--skip-existing)."
+    return Note("frames-skipped", str(job.products[0].files[0]), message)
 
 
 def _drop_repeated(notes: list[Note]) -> None:
@@ -122,11 +134,12 @@ def _render_frame(
     progress: Progress,
     report: RenderReport,
     writer: FrameWriter,
-) -> None:
+) -> bool:
+    """Render what is still to be written of a frame; return whether there was anything."""
     wanted = [(product, _files(product, frame, job)) for product in job.products]
     wanted = [(product, files) for product, files in wanted if files]
     if not wanted:
-        return
+        return False
     sources = {aov.source for product, _ in wanted for aov in product.aovs}
     compilation.begin(
         picture_kernels(workers.device, sources, job.settings.integrator == "traced"),
@@ -144,6 +157,7 @@ def _render_frame(
             stage, job, frame, product, files, loaded, loader, exposure, workers, progress, report,
             writer,
         )  # fmt: skip
+    return True
 
 
 def _files(product: Product, frame: Frame, job: RenderJob) -> dict[str, Path]:
@@ -157,8 +171,16 @@ def _files(product: Product, frame: Frame, job: RenderJob) -> dict[str, Path]:
     if not files or not job.settings.skip_existing:
         return files
     unfinished = job.overrides.resume and partial_path(next(iter(files.values()))).exists()
-    there = all(path.exists() for path in files.values())
+    there = all(_is_picture(path) for path in files.values())
     return {} if there and not unfinished else files
+
+
+def _is_picture(path: Path) -> bool:
+    """Return whether a file is there and opens: a copy that broke off may leave an empty one."""
+    try:
+        return bool(read_headers(path))
+    except ImageError:
+        return False
 
 
 def _render_product(
