@@ -285,7 +285,7 @@ def test_info_tells_the_skin_with_its_errors(tmp_path, capsys):
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     report = next(event for event in events if "skins" in event)
     row = report["skins"][0]
-    assert row["path"] == "/Skin" and "+-" in row["l"]
+    assert row["path"] == "/Skin" and row["l +-"] > 0.0
     assert report["problems"] == []
 
 

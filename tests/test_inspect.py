@@ -100,7 +100,39 @@ def test_meshes_tell_counts_and_materials_tell_skin(stage):
     (material,) = report["materials"]
     assert material["skin"]
     (skin,) = report["skins"]
-    assert (skin["path"], skin["alpha"], skin["l"]) == ("/World/Skin", "1", "0.4")
+    assert (skin["path"], skin["alpha"], skin["l"]) == ("/World/Skin", 1.0, 0.4)
+
+
+def test_numbers_of_a_skin_are_numbers(tmp_path, capsys):
+    path = tmp_path / "skin.usda"
+    path.write_text(
+        '#usda 1.0\n(\n    metersPerUnit = 1\n)\ndef Material "Skin" (prepend apiSchemas = '
+        '["SkinMaterialAPI", "SpectralDistributionAPI:reflectance"])\n{\n'
+        "    double[] spectrum:reflectance:wavelengths = [450, 550, 650]\n"
+        "    double[] spectrum:reflectance:values = [0.27, 0.31, 0.6]\n}\n"
+    )
+    assert cli.main(["--json", "info", str(path)]) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    (skin,) = next(event["skins"] for event in events if "skins" in event)
+    assert skin["S at 450, 550, 650 nm"] == [0.27, 0.31, 0.6]
+    assert len(skin["L*a*b* (D65, SCI)"]) == 3
+
+
+def test_layers_come_strongest_first_then_by_path_and_tell_equal_names_apart(tmp_path):
+    texts = {
+        "shot.usda": "#usda 1.0\n(\n    subLayers = [@z.usda@, @a.usda@]\n)\n"
+        'def "M" (references = @m/look.usda@</A>)\n{\n}\n'
+        'def "B" (references = @b/look.usda@</A>)\n{\n}\n'
+        'def "C" (references = @c/single.usda@</A>)\n{\n}\n',
+        **dict.fromkeys(["z.usda", "a.usda"], "#usda 1.0\n"),
+        **dict.fromkeys(["m/look.usda", "b/look.usda", "c/single.usda"], '#usda 1.0\ndef "A" {}\n'),
+    }
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    layers = inspect_file(tmp_path / "shot.usda")["summary"]["layers"]
+    expected = ["shot.usda", "z.usda", "a.usda", "b/look.usda", "single.usda", "m/look.usda"]
+    assert layers == expected
 
 
 def test_what_a_render_would_not_show_is_named(stage):

@@ -7,6 +7,7 @@ Makes: a report of plain values, the same for people and programs.
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -144,11 +145,7 @@ def _stage_summary(stage: Any) -> Row:
 
     timed = stage.HasAuthoredTimeCodeRange()
     return {
-        "layers": [
-            layer.GetDisplayName() or layer.identifier
-            for layer in stage.GetUsedLayers()
-            if not layer.anonymous
-        ],
+        "layers": _layer_names(stage),
         "defaultPrim": str(stage.GetDefaultPrim().GetPath()) if stage.GetDefaultPrim() else None,
         "upAxis": str(UsdGeom.GetStageUpAxis(stage)),
         "metersPerUnit": float(UsdGeom.GetStageMetersPerUnit(stage)),
@@ -157,6 +154,25 @@ def _stage_summary(stage: Any) -> Row:
         "timeCodesPerSecond": float(stage.GetTimeCodesPerSecond()),
         "renderSettings": str(stage.GetMetadata("renderSettingsPrimPath") or "") or None,
     }
+
+
+def _layer_names(stage: Any) -> list[str]:
+    """Return the root's layer stack, strongest first, then the layers of arcs by their paths.
+
+    A layer goes by its file name, or by its path from the root layer's folder where two files have
+    that name.
+    """
+    stack = [layer for layer in stage.GetLayerStack(False) if not layer.anonymous]
+    others = {layer for layer in stage.GetUsedLayers() if not layer.anonymous} - set(stack)
+    layers = stack + sorted(others, key=lambda layer: str(layer.identifier))
+    names = [str(layer.GetDisplayName() or layer.identifier) for layer in layers]
+    folder = os.path.dirname(stage.GetRootLayer().identifier) or "."
+    return [
+        Path(os.path.relpath(layer.identifier, folder)).as_posix()
+        if names.count(name) > 1
+        else name
+        for layer, name in zip(layers, names, strict=True)
+    ]
 
 
 def _value(prim: Any, name: str) -> Any:

@@ -113,14 +113,14 @@ def skin_row(prim: Any) -> Row:
 
     skin, fit = read_skin(prim, Usd.TimeCode.EarliestTime()), read_skin_fit(prim)
     row: Row = {
-        "l": _with_error(skin.wrap, fit.wrap_stddev if fit else None),
-        "alpha": _with_error(skin.alpha, fit.alpha_stddev if fit else None),
+        **_with_error("l", skin.wrap, fit.wrap_stddev if fit else None),
+        **_with_error("alpha", skin.alpha, fit.alpha_stddev if fit else None),
     }
     for name, spectrum, stddev in (
         ("S", skin.reflectance, fit.reflectance_stddev if fit else None),
         ("Ss", skin.scattering, fit.scattering_stddev if fit else None),
     ):
-        row[f"{name} at 450, 550, 650 nm"] = _at_shown(spectrum, stddev)
+        row |= _at_shown(name, spectrum, stddev)
     row |= _facing(skin)
     row["specular"] = skin.specular_weight or None
     maps = {
@@ -137,29 +137,37 @@ def skin_row(prim: Any) -> Row:
         row["opacity [1/m]"] = skin.opacity or None
     else:
         values = skin.opacity.value
-        row["opacity [1/m]"] = f"{values.min():.4g} to {values.max():.4g}"
+        row["opacity [1/m]"] = [_digits(values.min(), 4), _digits(values.max(), 4)]
     if fit is not None:
         row["residual"] = fit.residual
         if fit.reach_deg is not None and fit.needed_reach_deg is not None:
-            row["reach [deg]"] = f"{fit.reach_deg:.0f} of {fit.needed_reach_deg:.0f}"
+            row["reach [deg]"] = round(fit.reach_deg)
+            row["needed reach [deg]"] = round(fit.needed_reach_deg)
     return row
 
 
-def _with_error(value: float, error: float | None) -> str:
-    return f"{value:.4g}" if error is None else f"{value:.4g} +- {error:.2g}"
+def _with_error(name: str, value: float, error: float | None) -> Row:
+    row: Row = {name: _digits(value, 4)}
+    return row if error is None else row | {f"{name} +-": _digits(error, 2)}
 
 
-def _at_shown(spectrum: Any, stddev: Any) -> str | None:
+def _digits(value: float, count: int) -> float:
+    return float(f"{value:.{count}g}")
+
+
+def _at_shown(name: str, spectrum: Any, stddev: Any) -> Row:
+    """Return a spectrum at a few wavelengths, and the median of its standard deviation there."""
     import numpy as np
 
+    column = f"{name} at 450, 550, 650 nm"
     if spectrum is None:
-        return None
-    nm, error = spectrum.wavelength_nm, None
-    at = np.interp(_SHOWN_NM, nm, spectrum.value)
+        return {column: None}
+    nm = spectrum.wavelength_nm
+    row: Row = {column: [round(float(v), 3) for v in np.interp(_SHOWN_NM, nm, spectrum.value)]}
     if stddev is not None:
         error = float(np.median(np.interp(_SHOWN_NM, nm, stddev.value)))
-    listed = ", ".join(f"{value:.3f}" for value in at)
-    return listed if error is None else f"{listed} +- {error:.2g}"
+        row[f"{name} +-"] = _digits(error, 2)
+    return row
 
 
 def _facing(skin: Any) -> Row:
@@ -178,7 +186,7 @@ def _facing(skin: Any) -> Row:
     lit = skin.alpha * skin.reflectance.resample(grid) * (1.0 + gain * spread) + skin.f0
     lightness, a, b = xyz_to_lab(lit @ weights, weights.sum(axis=0))
     return {
-        "L*a*b* (D65, SCI)": f"{lightness:.1f} {a:.1f} {b:.1f}",
+        "L*a*b* (D65, SCI)": [round(float(value), 1) for value in (lightness, a, b)],
         "ITA [deg]": round(float(np.degrees(np.arctan2(lightness - 50.0, b))), 1),
     }
 
