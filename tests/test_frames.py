@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from usdskin.errors import UsageError
-from usdskin.frames import frame_path, has_placeholder, parse_frames
+from usdskin.frames import frame_path, has_placeholder, parse_frames, with_placeholder
 
 
 @pytest.mark.parametrize(
@@ -71,6 +71,23 @@ def test_what_is_no_range_is_a_usage_error_that_shows_it(text):
 )
 def test_placeholder_becomes_the_padded_frame(template, frame, name):
     assert frame_path(template, frame) == Path(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("x.exr", "x.####.exr"),
+        ("x.%04d.exr", "x.####.exr"),
+        ("x.%d.exr", "x.####.exr"),
+        ("x_%6d.exr", "x_######.exr"),
+        ("x.$F4.exr", "x.####.exr"),
+        ("x.$F.exr", "x.####.exr"),
+        ("x.v2.exr", "x.v2.####.exr"),
+    ],
+)
+def test_a_hint_has_the_place_where_the_name_meant_it(name, hint):
+    assert with_placeholder(Path("folder", name)) == hint
+    assert has_placeholder(hint)
 
 
 def test_only_two_signs_or_more_in_the_file_name_are_a_placeholder():

@@ -185,6 +185,18 @@ def test_a_prim_is_described_by_its_strongest_layer_and_path(tmp_path: Path) -> 
     assert describe(prim.GetAttribute("other")) == "shot.usda </World>"
 
 
+def test_what_flags_set_is_described_by_the_flag(tmp_path: Path) -> None:
+    (tmp_path / "own.usda").write_text(HEADER + 'def Sphere "A" {}\ndef Sphere "B" {}\n')
+    stage = open_stage(tmp_path / "own.usda")
+    with Usd.EditContext(stage, stage.GetSessionLayer()):
+        stage.GetAttributeAtPath("/A.radius").Set(2.0)
+        stage.GetPrimAtPath("/B").GetVariantSets().AddVariantSet("lamp")
+    prim = stage.GetPrimAtPath("/A")
+    assert describe(prim.GetAttribute("radius")) == "--set </A>"
+    assert describe(prim) == "own.usda with --set </A>"
+    assert describe(stage.GetPrimAtPath("/B")) == "own.usda </B>"
+
+
 def test_a_property_without_opinions_is_described_by_its_prim() -> None:
     stage = Usd.Stage.CreateInMemory("light.usda")
     prim = stage.DefinePrim("/L", "DomeLight")

@@ -67,6 +67,11 @@ def var(name, body=""):
     return f'def RenderVar "{name}"\n{{\n{body}\n}}\n'
 
 
+def test_the_hint_of_a_sequence_reads_the_place_that_others_write(resolve):
+    with pytest.raises(UsageError, match=r"such as x\.####\.exr\.$"):
+        resolve(output=Path("x.%04d.exr"), frames=(1, 2))
+
+
 # Flags that would be ignored
 
 

@@ -14,6 +14,7 @@ FRAME_LIMIT = 1_000_000
 _NUMBER = r"-?(?:\d+(?:\.\d*)?|\.\d+)"
 _ITEM = re.compile(rf"({_NUMBER})(?:[-:]({_NUMBER})(?:[:x]({_NUMBER}))?)?")
 _PLACEHOLDER = re.compile(r"(#{2,})(?:\.(#+))?")
+_FOREIGN_PLACE = re.compile(r"%0?([1-9]?)d|\$F([1-9]?)")
 
 
 def parse_frames(text: str) -> tuple[float, ...]:
@@ -61,6 +62,18 @@ def _parse_item(item: str, text: str) -> list[float]:
 def has_placeholder(path: Path | str) -> bool:
     """Return whether a file's name has a place for the frame number (``####``)."""
     return _PLACEHOLDER.search(Path(path).name) is not None
+
+
+def with_placeholder(path: Path) -> str:
+    """Return a file name that has a place for the frame number, as a hint.
+
+    ``%04d`` and ``$F4``, as other programs write the place, become ``####``.
+    """
+    foreign = _FOREIGN_PLACE.search(path.name)
+    if foreign is None:
+        return f"{path.stem}.####{path.suffix}"
+    place = "#" * max(2, int(foreign[1] or foreign[2] or 4))
+    return path.name[: foreign.start()] + place + path.name[foreign.end() :]
 
 
 def frame_path(template: Path | str, frame: float | None) -> Path:

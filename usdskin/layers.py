@@ -175,6 +175,8 @@ def describe(subject: Usd.Object) -> str:
 def layer_name(subject: Usd.Object) -> str:
     """Return the file name of the layer with the strongest opinion.
 
+    What flags set is in the session layer, which is no file: ``--set``, or the prim's file with it.
+
     Args:
         subject: A prim, or a property of one; the prim counts where the property has no opinion.
     """
@@ -182,8 +184,15 @@ def layer_name(subject: Usd.Object) -> str:
     specs = subject.GetPropertyStack() if isinstance(subject, Usd.Property) else []
     if not specs and not prim.IsPseudoRoot():
         specs = prim.GetPrimStack()
-    layer = specs[0].layer if specs else prim.GetStage().GetRootLayer()
-    return str(layer.GetDisplayName() or layer.identifier)
+    session = prim.GetStage().GetSessionLayer()
+    files = [spec for spec in specs if spec.layer != session]
+    layer = files[0].layer if files else prim.GetStage().GetRootLayer()
+    name = str(layer.GetDisplayName() or layer.identifier)
+    if not specs or specs[0].layer != session:
+        return name
+    if isinstance(subject, Usd.Property) and isinstance(specs[0], Sdf.PropertySpec):
+        return "--set"
+    return f"{name} with --set" if specs[0].properties else name
 
 
 def write_layer(source: Sdf.Layer | Usd.Stage, path: str | Path) -> Path:

@@ -15,7 +15,12 @@ def global_options(*, hidden: bool) -> list[click.Option]:
     shared: dict[str, Any] = {"expose_value": False, "callback": _store, "hidden": hidden}
     return [
         click.Option(["-v", "--verbose"], is_flag=True, help="Tell more: timings.", **shared),
-        click.Option(["-q", "--quiet"], is_flag=True, help="Show no progress.", **shared),
+        click.Option(
+            ["-q", "--quiet"],
+            is_flag=True,
+            help="Show no progress and no summary of the result.",
+            **shared,
+        ),
         click.Option(
             ["--json"], is_flag=True, help="Print one JSON object per line on stdout.", **shared
         ),

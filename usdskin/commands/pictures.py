@@ -133,7 +133,7 @@ _PATH = click.Path(path_type=Path)
     type=click.Choice(["cie1931_2", "cie1964_10", "cie2015_2"]),
     help="Color-matching functions.",
 )
-@click.option("--skip-existing", is_flag=True, help="Leave frames that are there already.")
+@click.option("--skip-existing", is_flag=True, help="Leave frames whose files are there and open.")
 @click.option(
     "--resume", is_flag=True, help="Go on with a picture that was interrupted: same pixels."
 )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from usdskin.colorimetry import Observer, color_space_names, illuminant, linear_color_space
 from usdskin.errors import LayerError, UsageError, UsdSkinError
-from usdskin.frames import frame_path, has_placeholder
+from usdskin.frames import frame_path, has_placeholder, with_placeholder
 from usdskin.notes import Note
 from usdskin.prims import read_render_settings_api
 from usdskin.render.job import Frame, RenderJob, RenderSettings
@@ -163,7 +163,7 @@ def _check_places(products: tuple[Product, ...], frames: tuple[Frame, ...]) -> N
             if len(frames) > 1 and not has_placeholder(file):
                 raise UsageError(
                     f"{file}: {len(frames)} frames need a place for the number, such as "
-                    f"{file.stem}.####{file.suffix}."
+                    f"{with_placeholder(file)}."
                 )
             for frame in frames:
                 frame_path(file, frame.number)
