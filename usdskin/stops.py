@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import signal
 import sys
-from types import FrameType, TracebackType
-from typing import Any
+
+TYPE_CHECKING = False  # as typing has it, which takes long to load
+if TYPE_CHECKING:
+    from types import FrameType, TracebackType
+    from typing import Any
 
 _RETRY_S = 0.01
 """Time between two looks whether a stop that waits may be raised [s]."""
