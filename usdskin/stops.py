@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 _RETRY_S = 0.01
 """Time between two looks whether a stop that waits may be raised [s]."""
 
+_CAN_WAIT = hasattr(signal, "setitimer")  # Windows has no timers of signals
+
 
 class TerminatedError(BaseException):
     """SIGTERM arrived; unwinds so that temporary files are removed."""
@@ -75,7 +77,7 @@ class Stops:
 
     def _forget(self) -> None:
         self._outside = None
-        if signal.SIGALRM in self._before:
+        if _CAN_WAIT and signal.SIGALRM in self._before:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in self._before.items():
             signal.signal(number, handler)
@@ -88,7 +90,7 @@ class Stops:
     def _raise(self, _number: int, frame: FrameType | None) -> None:
         if self._asked is None or self._outside is None:
             return
-        if not self._would_be_lost(frame):
+        if not (_CAN_WAIT and self._would_be_lost(frame)):
             raise self._asked
         if signal.SIGALRM not in self._before:
             self._before[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._raise)
