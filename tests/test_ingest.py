@@ -14,7 +14,7 @@ from photographs import BEGAN, disc, write_bracket, write_photo
 
 from usdskin.capture.ingest.exif import Photo, read_photo
 from usdskin.capture.ingest.folder import natural
-from usdskin.capture.ingest.image_circle import find_circle, guess_lens
+from usdskin.capture.ingest.image_circle import find_circle, find_circle_of_brackets, guess_lens
 from usdskin.capture.ingest.options import IngestOptions
 from usdskin.capture.ingest.sequences import in_order, split_brackets
 from usdskin.capture.ingest.step import ingest
@@ -271,6 +271,38 @@ def test_picture_that_light_fills_has_no_circle():
     assert find_circle([np.zeros((60, 80), np.float32)]) is None
 
 
+def veiled_room(radius, glare):
+    """Return a room with a lamp, through a veil that lies over the whole picture."""
+    rows, columns = np.mgrid[0:341, 0:512] + 0.5
+    away = np.hypot(columns - 256.0, rows - 170.5)
+    light = 0.5 * np.exp(0.8 * np.sin(columns / 17.0) + 0.8 * np.cos(rows / 23.0))
+    light[90:130, 200:300] = 60.0
+    light *= np.clip(radius - away + 0.5, 0.0, 1.0)
+    return (1.0 - glare) * light + glare * light[away < radius].mean()
+
+
+LONGEST_FIRST = 60.0 * 0.25 ** np.arange(9)
+
+
+@pytest.mark.parametrize("glare", [0.0, 0.003, 0.01, 0.03])
+def test_image_circle_is_found_through_a_veil_of_glare(glare):
+    room = veiled_room(160.0, glare)
+    bracket = [np.clip(0.03 + room * time, 0.0, 1.0).astype("f4") for time in LONGEST_FIRST]
+    found = find_circle_of_brackets([bracket, bracket[2:]])
+    assert found is not None
+    np.testing.assert_allclose(found, (256.0, 170.5, 160.0), rtol=0.02)
+    if glare > 0.0:
+        assert find_circle(bracket[:1]) is None  # the veil saturates the longest exposure
+
+
+def test_fall_of_light_to_the_corners_is_no_image_circle():
+    rows, columns = np.mgrid[0:341, 0:512] + 0.5
+    away = np.hypot(columns - 256.0, rows - 170.5) / 307.6
+    light = 0.03 + 0.97 * (1.0 - away**2) ** 2
+    bracket = [np.clip(light * item, 0.0, 1.0).astype(np.float32) for item in (30.0, 4.0, 0.5)]
+    assert find_circle_of_brackets([bracket]) is None
+
+
 @pytest.mark.parametrize(
     ("projection", "height"),
     [
@@ -287,6 +319,15 @@ def test_guessed_lens_puts_its_field_on_the_circle(projection, height):
     diagonal = guess_lens(None, (300, 400), projection, 180.0)
     assert diagonal.focal_length_px == pytest.approx(250.0 / height)
     np.testing.assert_array_equal(diagonal.center_px, (150.0, 200.0))
+
+
+@pytest.mark.parametrize("glare", [0.003, 0.01, 0.03])
+def test_lens_is_guessed_to_two_percent_under_glare(tmp_path, glare):
+    light = np.repeat(veiled_room(160.0, glare)[..., None], 3, axis=-1)
+    for view in ("a", "b"):
+        write_bracket(tmp_path / "photos" / view, light, LONGEST_FIRST[::-1])
+    shoot, _ = run(tmp_path / "photos", views="0,up")
+    assert shoot.views[0].lens.focal_length_px == pytest.approx(160.0 / (np.pi / 2.0), rel=0.02)
 
 
 # --- Whole folders -----------------------------------------------------------------------------

@@ -17,6 +17,7 @@ _SPOKES = 720
 _CORNER = 0.04  # of the picture's width and height
 _DARK_CORNERS = 0.25  # of what is bright in the middle
 _THRESHOLD = 0.1
+_STEEP, _STAYS = 3.0, 0.02  # times the threshold, and of the radius
 _LEAST_ROUND = 0.3
 _NEAR = 0.01  # of the radius
 _REACHES, _STRIDE = (1 / 3, 1 / 5, 1 / 8), 8
@@ -36,14 +37,38 @@ class Circle(NamedTuple):
     """Radius."""
 
 
+def find_circle_of_brackets(
+    brackets: Sequence[Sequence[NDArray[np.float32]]],
+) -> Circle | None:
+    """Return the circle in the longest exposures in which it shows.
+
+    The longest of all show the darkest scene, but a veil of glare, which lies evenly over the whole
+    picture, lifts what is outside the circle there too, up to saturation.
+
+    Args:
+        brackets: Pictures of one size, each view's from the longest exposure to the shortest, shape
+            [rows, columns].
+
+    Returns:
+        The circle in pixels of the thumbnails; None where no exposures show one.
+    """
+    for rank in range(max(map(len, brackets))):
+        circle = find_circle([bracket[min(rank, len(bracket) - 1)] for bracket in brackets])
+        if circle is not None:
+            return circle
+    return None
+
+
 def find_circle(thumbnails: Sequence[NDArray[np.float32]]) -> Circle | None:
     """Return the circle that bright pictures fill, and outside of which they are dark.
 
     Its rim is taken where spokes from the middle of the picture last meet light. A circle is fitted
-    to the rim, less the spokes on which the scene is dark or a flare shines outside.
+    to the rim, less the spokes on which the scene is dark or a flare shines outside. A rim is steep
+    and stays where it is at a higher threshold, unlike the fall of light to the corners of a lens
+    that fills the frame.
 
     Args:
-        thumbnails: Pictures of one size, long exposures of several views, shape [rows, columns].
+        thumbnails: Pictures of one size, like exposures of several views, shape [rows, columns].
 
     Returns:
         The circle in pixels of the thumbnails; None where there is none, as with a lens that fills
@@ -56,10 +81,17 @@ def find_circle(thumbnails: Sequence[NDArray[np.float32]]) -> Circle | None:
     inside = float(np.percentile(middle, 75))
     if outside >= _DARK_CORNERS * inside:
         return None
-    rim = _rim(light > outside + _THRESHOLD * (inside - outside))
-    if len(rim) < _LEAST_ROUND * _SPOKES:
+    rise = _THRESHOLD * (inside - outside)
+    circle = _circle_above(light, outside + rise)
+    steep = None if circle is None else _circle_above(light, outside + _STEEP * rise)
+    if circle is None or steep is None:
         return None
-    return _fit(rim)
+    return circle if abs(steep.radius - circle.radius) <= _STAYS * circle.radius else None
+
+
+def _circle_above(light: NDArray[np.float32], threshold: float) -> Circle | None:
+    rim = _rim(light > threshold)
+    return None if len(rim) < _LEAST_ROUND * _SPOKES else _fit(rim)
 
 
 def corner_level(thumbnail: NDArray[np.float32]) -> float:

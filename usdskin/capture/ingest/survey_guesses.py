@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from usdskin.capture.ingest.exif import Photo
-from usdskin.capture.ingest.image_circle import Circle, find_circle, guess_lens
+from usdskin.capture.ingest.image_circle import Circle, find_circle_of_brackets, guess_lens
 from usdskin.capture.ingest.options import IngestOptions
 from usdskin.capture.ingest.pixels import Look
 from usdskin.capture.viewpoints import (
@@ -92,13 +92,17 @@ def find_lens(
     """
     first = next(iter(views.values()))[0]
     size = (first.width, first.height)
-    brightest = [
-        max(group, key=lambda photo: float(looks[photo.path].thumbnail.mean()))
+    alike = [
+        sorted(
+            (looks[photo.path] for photo in group),
+            key=lambda look: float(look.thumbnail.mean()),
+            reverse=True,
+        )
         for group in views.values()
+        if (group[0].width, group[0].height) == size
     ]
-    longest = [looks[item.path] for item in brightest if (item.width, item.height) == size]
-    found = find_circle([look.thumbnail for look in longest])
-    circle = None if found is None else Circle(*(longest[0].cell_px * value for value in found))
+    found = find_circle_of_brackets([[look.thumbnail for look in group] for group in alike])
+    circle = None if found is None else Circle(*(alike[0][0].cell_px * value for value in found))
     lens = guess_lens(circle, size, options.projection, options.field_deg)
     if circle is None:
         what = "no image circle shows, so the field was taken to span the diagonal"
