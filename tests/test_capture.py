@@ -105,6 +105,7 @@ def test_a_faithful_shoot_is_right_to_one_percent(shooting: Shooting, tmp_path: 
     assert result.report.flux_difference <= 1e-3
     assert result.report.coverage > 0.999
     assert not result.report.lamps
+    assert result.report.flux_error <= 0.01
 
 
 @pytest.mark.slow
@@ -162,6 +163,24 @@ def test_glare_that_nobody_stated_is_found_beyond_the_image_circle(
 def reduced_truth(shoot: Path, height: int) -> np.ndarray:
     truth = read_image(shoot.parent / "truth" / "truth.exr").pixels.astype(np.float64)
     return reduced(truth, height)
+
+
+def test_flux_error_of_a_wrong_lens_is_told(shooting: Shooting, tmp_path: Path) -> None:
+    shoot = copied(shooting("small"), tmp_path / "shoot")
+
+    def lengthen(stage: Usd.Stage) -> None:
+        for prim in stage.Traverse():
+            if prim.HasAPI("FisheyeCameraAPI"):
+                focal = prim.GetAttribute("fisheye:focalLength")
+                focal.Set(1.41 * focal.Get())
+
+    edited(shoot, lengthen)
+    result = capture_shoot(shoot, tmp_path / "capture.usda", CaptureOptions(refine_rotations=True))
+    error = error_of(tmp_path / "capture.usda", shoot)
+    assert error.flux > 0.03
+    assert result.report.flux_error > error.flux
+    light = next(item for item in result.report.statements() if item.topic == "Light")
+    assert "contradict each other" in light.text and "Check the lens" in light.advice[0]
 
 
 @pytest.mark.slow

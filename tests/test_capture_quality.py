@@ -528,7 +528,7 @@ def troubled():
         figures=PanoramaFigures(0.06, 1e-4, 0.02, 0.03),
         coverage=0.93,
         negative_share=0.02,
-        overlap_difference=0.09,
+        overlap_difference=0.2,
         rotation_residual_before_deg=1.1,
         rotation_residual_deg=0.4,
         lamps=lamp_reports(scale),
@@ -559,6 +559,7 @@ def test_every_problem_is_told_with_its_figure_and_what_to_do():
         if statement.advice
     }
     expected = {
+        "Light": "Check the lens",
         "Lamps": "Add shorter exposures or a neutral density filter",
         "Scale": "21 % is missing. Clipped lamps hold it",
         "Coverage": "Add a view that faces the hole",
@@ -566,7 +567,7 @@ def test_every_problem_is_told_with_its_figure_and_what_to_do():
         "Rotations": "No overlap tells where east faces",
         "Noise": "Add longer exposures",
         "Motion": "yellow outlines",
-        "Composition": "check the vignetting",
+        "Composition": "black level or the glare",
     }
     assert advice.keys() == expected.keys()
     for topic, words in expected.items():
@@ -586,9 +587,29 @@ def test_flux_error_adds_independent_parts_in_squares():
     assert clean().flux_error == pytest.approx(math.hypot(1e-5, 2e-4, 0.004, 0.001))
     report = troubled()
     share = sum(lamp.flux_share for lamp in report.lamps)
-    expected = math.hypot(1e-4, 0.004, 0.12, 0.02, share)
+    contradiction = math.sqrt(0.2**2 - 0.12**2 - 0.05**2)  # noise of 6 % explains 12 %
+    expected = math.hypot(1e-4, 0.004, 0.12, 0.02, share, contradiction)
     assert report.flux_error == pytest.approx(expected)
     assert report.clipped_share == pytest.approx(share)
+
+
+@pytest.mark.parametrize(("difference", "told"), [(0.06, False), (0.09, True), (1.19, True)])
+def test_views_that_contradict_each_other_count_in_the_flux_error(difference, told):
+    report = clean(overlap_difference=difference)
+    assert difference * 0.5 < report.contradiction < report.flux_error
+    light = next(item for item in report.statements() if item.topic == "Light")
+    assert ("contradict each other by" in light.text) == told
+    assert any("Check the lens" in advice for advice in light.advice) == told
+    if not told:
+        assert "right to about 3.3 %" in light.text and "views that contradict" in light.text
+
+
+def test_difference_that_noise_explains_is_no_contradiction():
+    noisy = PanoramaFigures(0.06, 1e-5, 0.001, 0.0)
+    report = clean(overlap_difference=0.1, figures=noisy)
+    assert report.contradiction == 0.0
+    assert report.flux_error == pytest.approx(clean().flux_error)
+    assert "right to about" in " ".join(report.lines())
 
 
 def test_measured_lamp_no_longer_counts_as_an_error():
@@ -608,7 +629,7 @@ def test_report_is_plain_json():
     data = json.loads(json.dumps(troubled().as_dict(), allow_nan=False))
     assert data["views"][0]["worst_pair"] == ["3.tif", "4.tif"]
     assert data["scale"]["factor"] == 100.0 and data["scale"]["missing_lx"] == 172.0
-    assert data["flux_error"] > 0.1 and data["advice"][0]["topic"] == "Lamps"
+    assert data["flux_error"] > 0.1 and data["advice"][0]["topic"] == "Light"
 
 
 def test_attributes_go_into_the_layer_and_validate():

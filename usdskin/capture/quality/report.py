@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
 
+_RESAMPLED = 0.05
+
 
 @dataclass(frozen=True, slots=True)
 class ViewReport:
@@ -193,6 +195,18 @@ class CaptureReport:
         return max((abs(view.flux_difference or 0.0) for view in self.views), default=0.0)
 
     @property
+    def contradiction(self) -> float:
+        """Difference of overlapping views beyond what noise and resampling explain [1].
+
+        ``sqrt(d^2 - (2 s)^2 - r^2)``: d the overlap difference, s the panorama's noise, r what
+        views of one lens differ by where they are resampled. The median of ``|a - b|`` is 0.95 of
+        the standard deviation of one view, which is up to ``sqrt(2) s``; the rest is left to pixels
+        darker, and so noisier, than those that s is of.
+        """
+        noise = math.hypot(2.0 * self.figures.noise, _RESAMPLED)
+        return math.sqrt(max((self.overlap_difference or 0.0) ** 2 - noise**2, 0.0))
+
+    @property
     def flux_parts(self) -> dict[str, float]:
         """Return the parts of ``flux_error`` by what they come from [1]."""
         return {
@@ -201,17 +215,20 @@ class CaptureReport:
             "exposure settings": self.exposure_error or 0.0,
             "areas that no view saw": self.figures.unseen_flux_share,
             "clipped lamps": sum(lamp.flux_share for lamp in self.lamps if not lamp.is_measured),
+            "views that contradict each other": self.contradiction,
         }
 
     @property
     def flux_error(self) -> float:
         """Estimated relative error of the panorama's flux, before its scale [1].
 
-        ``sqrt(n^2 + f^2 + x^2 + h^2 + c^2)``: n the noise of the sum, f the largest flux
+        ``sqrt(n^2 + f^2 + x^2 + h^2 + c^2 + d^2)``: n the noise of the sum, f the largest flux
         difference of a view, x the largest error of an exposure ratio, h the share of the flux in
         areas no view saw (what was filled in may be wrong by as much as it is), c the share of
         the flux in clipped lamps that were not measured (one twice as bright as it shows leaves
-        that much missing). The parts come from different causes, so their squares add up.
+        that much missing), d what overlapping views contradict each other by (a wrong lens or
+        direction counts light twice or not at all). The parts come from different causes, so their
+        squares add up.
         """
         return math.hypot(*self.flux_parts.values())
 

@@ -67,10 +67,26 @@ def _whole(report: CaptureReport) -> Statement:
 def _light(report: CaptureReport) -> Statement:
     parts = report.flux_parts
     largest = max(parts, key=lambda name: parts[name])
+    if report.contradiction > _OVERLAP:
+        return _contradicted(report)
     text = f"the sum of all light is right to about {_percent(report.flux_error)}"
     if report.flux_error > _SHARE:
         text += f"; most of the doubt comes from {largest} ({_percent(parts[largest])})"
     return Statement("Light", f"{text}.")
+
+
+def _contradicted(report: CaptureReport) -> Statement:
+    text = (
+        f"overlapping views contradict each other by {_percent(report.contradiction)}, so the sum "
+        f"of all light may be wrong by {_percent(report.flux_error)}."
+    )
+    advice = (
+        "Check the lens (projection, focal length, field, vignetting and glare) and the directions "
+        "of the views before this light is used, and whether the light changed between the views."
+    )
+    if any(view.rotation_change_deg is None for view in report.views):
+        advice += " Directions that are a few degrees off are mended by --refine-rotations."
+    return Statement("Light", text, (advice,))
 
 
 def _lamps(report: CaptureReport) -> list[Statement]:
@@ -296,11 +312,6 @@ def _composition(report: CaptureReport) -> Statement:
     advice = []
     if report.flux_difference > _FLUX_DIFFERENCE:
         advice.append("The panorama is too coarse for its lamps: give it more pixels with --width.")
-    if report.overlap_difference is not None and report.overlap_difference > _OVERLAP:
-        advice.append(
-            "Views disagree more than noise explains: check the vignetting and the glare of the "
-            "lens, and whether the light changed between the views."
-        )
     if report.negative_share > _SHARE:
         advice.append("The black level or the glare of the lens is set too high: check both.")
     return Statement("Composition", f"{text}.", tuple(advice))
