@@ -105,7 +105,7 @@ def test_a_faithful_shoot_is_right_to_one_percent(shooting: Shooting, tmp_path: 
     assert result.report.flux_difference <= 1e-3
     assert result.report.coverage > 0.999
     assert not result.report.lamps
-    assert result.report.flux_error <= 0.01
+    assert result.report.contradiction == 0.0
 
 
 @pytest.mark.slow
