@@ -112,6 +112,7 @@ def switched(tmp_path_factory):
     return folder / "out", json.loads(done.path.read_text())
 
 
+@pytest.mark.slow
 def test_captures_of_single_classes_take_the_place_of_a_class_map(switched, tmp_path, monkeypatch):
     """Each by the command that stands in the proof, with the camera of the whole shoot."""
     output, proof = switched
@@ -161,6 +162,7 @@ def test_estimators_give_the_same_without_the_truth_on_the_disk(proved, monkeypa
     assert again == numbers
 
 
+@pytest.mark.slow
 def test_an_interrupted_proof_goes_on_where_it_ended(tmp_path, monkeypatch):
     light = write_set(tmp_path / "set", ("tubes",))
     output = tmp_path / "out"
@@ -350,6 +352,7 @@ def test_a_real_shoot_is_judged_by_its_charts(proved, tmp_path):
     assert any("true light is not known" in text for text in proof["missing"])
 
 
+@pytest.mark.slow
 def test_a_real_shoot_takes_captures_of_single_classes(switched, tmp_path):
     """Of a folder as a proof leaves it; one class may go without."""
     shoot, options = tmp_path / "shoot", ProofOptions(class_captures=True)

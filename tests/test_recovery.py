@@ -685,7 +685,10 @@ def measured_skin(folder):
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize("lamp", LAMPS)
+@pytest.mark.parametrize(
+    "lamp",
+    [pytest.param(lamp, marks=() if lamp == "FL2" else pytest.mark.slow) for lamp in LAMPS],
+)
 def test_cameras_held_apart_meet_the_bars_on_average(realdata, lamp):
     cameras, patches = measured_cameras(realdata), measured_chart(realdata)
     objects, skin = held_out(), measured_skin(realdata)

@@ -216,6 +216,7 @@ def check(found: Comparison, integrator: str) -> None:
     assert (np.abs(found.over_bands[:, 0] - 1.0) <= bound).all()
 
 
+@pytest.mark.slow
 def test_the_shadowed_bust_in_the_office_matches_mitsuba_in_every_band(tmp_path: Path):
     """And the shadows are no small matter: the map's picture is another one."""
     found = run("room_fluorescent", tmp_path, "traced", 1024, 6)

@@ -379,6 +379,7 @@ def test_shipped_prior_is_the_fit_to_all_origins(realdata):
     np.testing.assert_allclose(shipped.moment, prior.moment, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 @pytest.mark.parametrize(("noise", "own", "other"), [(0.0, 0.4, 0.8), (0.01, 1.1, 1.3)])
 def test_skin_of_left_out_origins_meets_the_bars(realdata, noise, own, other):
