@@ -5,8 +5,8 @@ path integrator, three bands at a time: in an RGB variant red, green and blue ar
 
 job: ``corner``, ``along``, ``across`` [q, 3] and ``reflectance`` [q, bands] of one-sided
 parallelograms; ``lamp_kind`` [k], ``lamp_center`` [k, 3], ``lamp_axes`` [k, 3, 3], ``lamp_half``
-[k, 2] and ``lamp_radiance`` [k, bands]; ``sky`` [bands], even, or absent; ``sun_direction``,
-``sun_angle_deg`` and ``sun_irradiance`` [bands], or absent; ``origin`` [3], ``height``,
+[k, 2] and ``lamp_radiance`` [k, bands]; ``sky`` [rows, 2 rows, bands], or absent;
+``sun_direction`` and ``sun_irradiance`` [bands], or absent; ``origin`` [3], ``height``,
 ``samples`` (rays per texel), ``groups`` that they come in, ``depth``.
 """
 
@@ -60,7 +60,9 @@ def scene(job: Job, bands: slice) -> mi.Scene:
             shape = {"type": name, "to_world": frame}
         result[f"lamp{index}"] = {**shape, "emitter": light, "bsdf": black}
     if "sky" in job:
-        result["sky"] = {"type": "constant", "radiance": rgb(job["sky"][bands])}
+        three = np.zeros((*job["sky"].shape[:2], 3), np.float32)
+        three[..., : job["sky"][..., bands].shape[2]] = job["sky"][..., bands]
+        result["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(three)}
     if "sun_direction" in job:
         result["sun"] = {
             "type": "directional",
