@@ -22,7 +22,7 @@ from light_stages import (
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, Vt
 
 from usdskin.colorimetry import daylight, planck_radiance
-from usdskin.errors import LayerError, UsageError
+from usdskin.errors import LayerError, UsageError, UsdSkinError
 from usdskin.prims import write_spectrum
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM as NM
 from usdskin.spectrum import SpectralQuantity, Spectrum
@@ -255,7 +255,7 @@ def test_unusable_inputs_are_refused_with_layer_and_prim(tmp_path, name, value, 
     stage = new_stage()
     light = dome(stage, write_rgb(tmp_path / "m.exr", rgb_map()))
     light.GetPrim().GetAttribute(f"inputs:{name}").Set(value)
-    with pytest.raises(LayerError, match=message) as refusal:
+    with pytest.raises(UsdSkinError, match=message) as refusal:
         read(stage)
     assert "</Dome>" in str(refusal.value) and "\n" not in str(refusal.value)
 

@@ -317,6 +317,29 @@ def test_a_spectral_map_is_looked_into(shot: Shot) -> None:
     assert found.code == "unreadable-file"
 
 
+@pytest.mark.parametrize(
+    ("size", "token", "fault"),
+    [
+        ((8, 8), "automatic", "8 x 8 pixels are not twice as wide as high"),
+        ((8, 8), "angular", "inputs:texture:format is angular"),
+        ((8, 8), "latlong", ""),
+        ((1, 1), "automatic", ""),
+        ((8, 16), "automatic", ""),
+    ],
+)
+def test_a_dome_whose_map_is_not_latlong_is_found(
+    shot: Shot, size: tuple[int, int], token: str, fault: str
+) -> None:
+    light = shot.light
+    light.GetAttribute("inputs:spectral:source").Set("rgb")
+    UsdLux.DomeLight(light).CreateTextureFormatAttr(token)
+    image = {name: np.ones(size, np.float32) for name in "RGB"}
+    write_exr(shot.folder / "rgb.exr", [Part("", image)])
+    found = shot.findings()
+    assert [item.code for item in found] == ["not-latlong"] * bool(fault)
+    assert not fault or fault in str(found[0])
+
+
 def test_an_unknown_illuminant_is_found(shot: Shot) -> None:
     shot.light.GetAttribute("inputs:spectral:source").Set("rgb")
     shot.light.GetAttribute("inputs:spectral:illuminant").Set("D66x")

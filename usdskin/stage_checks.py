@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from usdskin.prims import SkinParameters, SpectralLight, read_skin, read_spectra
 from usdskin.render.materials import THICKNESS_PRIMVAR
 from usdskin.render.polygons import is_closed, open_edge_count
 from usdskin.spectrum import DEFAULT_WAVELENGTHS_NM, Spectrum
+
+if TYPE_CHECKING:
+    from usdskin.images import Image
 
 _FIRST = Usd.TimeCode.EarliestTime()
 _IMAGE_SUFFIXES = (
@@ -215,14 +219,29 @@ def _check_picture(prim: Usd.Prim, name: str, path: str) -> Iterator[Finding]:
     from usdskin.images import read_image
 
     try:
-        pixels = read_image(path).pixels
+        image = read_image(path)
     except UsdSkinError as error:
         yield finding("error", prim, "unreadable-file", f"cannot be used: {error}", name)
         return
     if name == "inputs:texture:file" and prim.HasAPI(UsdLux.LightAPI):
-        color = pixels[..., :3]
+        color = image.pixels[..., :3]
         bad = (~np.isfinite(color) | (color < 0.0)).any(axis=-1)
         yield from _bad_texels(prim, name, int(bad.sum()), bad.size)
+        yield from _check_layout(prim, name, image)
+
+
+def _check_layout(prim: Usd.Prim, name: str, image: Image) -> Iterator[Finding]:
+    """Check that the map that a dome shines with is a latlong one."""
+    from usdskin.render.domes import layout_fault
+
+    light = read_spectral_light(prim, _FIRST)
+    is_dome = prim.IsA(UsdLux.DomeLight) or prim.IsA(UsdLux.DomeLight_1)
+    if not is_dome or image.pixels.shape[:2] == (1, 1) or (light and light.source != "rgb"):
+        return
+    token = prim.GetAttribute("inputs:texture:format").Get(_FIRST)
+    fault = layout_fault(str(token or "automatic"), image.pixels.shape, image.attributes)
+    if fault is not None:
+        yield finding("error", prim, "not-latlong", f"cannot be used: {fault}", name)
 
 
 def _check_mesh(prim: Usd.Prim) -> Iterator[Finding]:

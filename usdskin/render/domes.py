@@ -200,7 +200,10 @@ def _read_rgb(
     pixels = image.pixels
     if pixels.shape[:2] == (1, 1):  # one color all around, in whatever layout
         pixels = np.tile(pixels, (*_UNIFORM, 1))
-    _check_layout(light, pixels.shape, image.attributes, where, context)
+    token = str(light_input(light.prim, "texture:format", context)[1] or "automatic")
+    fault = layout_fault(token, pixels.shape, image.attributes)
+    if fault is not None:
+        raise ImageError(f"{where}: {fault}")
     if pixels.shape[2] == 1:
         pixels = np.repeat(pixels, 3, axis=2)
     pixels = mend_values(pixels, context.bad_pixels, where, light.path, context.notes)
@@ -230,31 +233,28 @@ def rgb_channels(where: str, names: tuple[str, ...]) -> tuple[str, ...]:
     )
 
 
-def _check_layout(
-    light: LightPrim,
-    shape: tuple[int, ...],
-    attributes: dict[str, Any],
-    where: str,
-    context: Context,
-) -> None:
-    """Refuse an RGB map that is not, or not known to be, a latlong one."""
-    token = str(light_input(light.prim, "texture:format", context)[1] or "automatic")
+def layout_fault(token: str, shape: tuple[int, ...], attributes: dict[str, Any]) -> str | None:
+    """Return why an RGB map is not, or not known to be, a latlong one; None where it is.
+
+    Args:
+        token: ``inputs:texture:format``.
+        shape: Of the map, (height, width, ...).
+        attributes: What its file says.
+    """
     if token not in ("automatic", "latlong"):
-        raise LayerError(
-            f"{describe(light.prim)}: inputs:texture:format is {token}, which cannot be read yet; "
-            "convert the map to latlong"
-        )
+        return f"inputs:texture:format is {token}, which cannot be read yet; convert it to latlong"
     height, width = shape[:2]
     said = str(attributes.get("textureformat", ""))  # OpenImageIO's name of EXR's envmap
     if token == "latlong" or said.startswith("LatLong"):
-        return
+        return None
     if "Environment" in said:
-        raise ImageError(f"{where}: a {said}, which cannot be read yet; convert it to latlong")
-    if abs(width / height / 2.0 - 1.0) > _ASPECT_TOLERANCE:
-        raise ImageError(
-            f"{where}: {width} x {height} pixels are not twice as wide as high, so no latlong "
-            "map; convert it, or author inputs:texture:format = latlong"
-        )
+        return f"a {said}, which cannot be read yet; convert it to latlong"
+    if abs(width / height / 2.0 - 1.0) <= _ASPECT_TOLERANCE:
+        return None
+    return (
+        f"{width} x {height} pixels are not twice as wide as high, so no latlong map; convert it, "
+        "or author inputs:texture:format = latlong"
+    )
 
 
 def _note_dips(
