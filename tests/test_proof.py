@@ -333,6 +333,8 @@ def test_bars_are_those_of_the_condition():
     assert light_bar(ProofOptions(scale_error=0.03), is_mixed=False) == 0.8
     assert [bar["met"] for bar in bars_of([row], ProofOptions(capture="ideal"), True)] == [True]
     assert [bar["met"] for bar in bars_of([row], ProofOptions(capture="ideal"), False)] == [False]
+    noisy = {**row, "noise": {"deltaE2000": {"mean": 0.7}}}
+    assert [bar["noise"] for bar in bars_of([row, noisy], ProofOptions(), True)] == [0.0, 0.7]
 
 
 def test_a_real_shoot_is_judged_by_its_charts(proved, tmp_path):

@@ -197,6 +197,8 @@ def _judge(reporter: Reporter, proof: Proof) -> None:
         click.echo(f"missing: {text}", err=True)
     for bar in proof.bars:
         met = "met" if bar["met"] else "MISSED"
+        if not bar["met"] and bar["noise"] > bar["bar"]:
+            met += f", but the noise of two truths is {bar['noise']:.3f}: give more --samples"
         click.echo(f"bar {bar['name']}: {bar['value']:.3f} of {bar['bar']:g}, {met}", err=True)
 
 

@@ -23,7 +23,9 @@ CHAIN_MEAN, CHAIN_P95 = 1.0, 2.5
 def bars_of(
     comparisons: Sequence[Mapping[str, Any]], options: ProofOptions, is_mixed: bool
 ) -> list[dict[str, Any]]:
-    """Return every bar that a proof is held to, and whether it is met.
+    """Return every bar that a proof is held to, whether it is met, and the noise of what is judged.
+
+    Where the noise, by which two renders of the truth differ, is above the bar, it tells nothing.
 
     Args:
         comparisons: As ``proof.json`` holds them.
@@ -34,6 +36,7 @@ def bars_of(
     for comparison in comparisons:
         name, integrator = comparison["name"], comparison["integrator"]
         found = comparison["result"]["deltaE2000"]
+        noise = (comparison.get("noise") or {}).get("deltaE2000", {})
         if name == "light":
             limits = {"mean": light_bar(options, is_mixed)}
         elif name == "chain":
@@ -48,6 +51,7 @@ def bars_of(
                     "value": value,
                     "bar": bar,
                     "met": value <= bar,
+                    "noise": float(noise.get(statistic, 0.0)),
                 }
             )
     return rows
