@@ -33,6 +33,9 @@ Flags on the command line win over settings authored in a stage, which win over 
 | 6 | no such device, or not enough memory |
 | 130, 143 | interrupted, terminated |
 
+Folders that are missing are made when a file is written into them. An output that cannot be
+written is refused before the work begins.
+
 """
 
 

@@ -568,11 +568,16 @@ def test_an_input_is_never_overwritten(
     assert shoot.read_bytes() == before
 
 
-def test_a_folder_that_does_not_exist_is_named(
-    shooting: Shooting, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_folder_that_cannot_be_made_is_named_before_the_work(
+    shooting: Shooting,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("usdskin.capture.step._compose", lambda *_: pytest.fail("it was begun"))
+    (tmp_path / "no").touch()
     code, line = refused(capsys, shooting("plain"), tmp_path / "no" / "capture.usda")
-    assert code == 3 and "does not exist" in line
+    assert code == 3 and "capture.usda: cannot be written" in line
 
 
 def test_a_failure_keeps_the_capture_before_it(

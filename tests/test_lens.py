@@ -405,7 +405,7 @@ def test_arguments_that_make_no_sense(tmp_path, arguments, reason):
 def test_the_output_may_not_be_an_input(photographs, tmp_path):
     output = tmp_path / "lens.usda"
     output.touch()
-    with pytest.raises(UsageError, match="is one of the inputs"):
+    with pytest.raises(UsageError, match="is an input of this calibration"):
         calibrate_lens([*photographs, output], output, board="charuco:7x5")
     with pytest.raises(UsageError, match=r"end its name in \.usda"):
         import_lens(photographs[0], photographs[0])

@@ -250,8 +250,9 @@ def test_the_same_picture_gives_the_same_bytes(tmp_path):
 
 
 def test_an_unwritable_png_is_named(tmp_path):
-    with pytest.raises(ImageError, match=r"missing/a\.png: cannot write"):
-        render_png(tmp_path / "missing" / "a.png", _opaque([[1, 1, 1]]))
+    (tmp_path / "file").touch()
+    with pytest.raises(ImageError, match=r"file/a\.png: cannot write"):
+        render_png(tmp_path / "file" / "a.png", _opaque([[1, 1, 1]]))
 
 
 def test_every_view_is_pinned_to_a_config_that_has_it():

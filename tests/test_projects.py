@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from usdskin.errors import LayerError, UsageError
+from usdskin.errors import UsageError, UsdSkinError
 from usdskin.layers import open_stage
 from usdskin.meshfiles import MeshFile, angle_weighted_normals
 from usdskin.notes import Note
@@ -108,7 +108,7 @@ def test_unknown_template_is_refused(tmp_path):
 
 def test_folder_that_cannot_be_made_is_an_error(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(LayerError, match="cannot be made"):
+    with pytest.raises(UsdSkinError, match=r"cannot be written \(Not a directory\)"):
         new_project(tmp_path / "file" / "a")
 
 

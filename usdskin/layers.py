@@ -13,7 +13,7 @@ import os
 import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdMedia, UsdUtils, Vt
 from usdskin import __version__
 from usdskin.errors import LayerError, UsageError
 from usdskin.notes import Note
+from usdskin.replacing import check_writable
 from usdskin.schemas import ensure_registered
 
 _LAYER_SUFFIXES = (".usd", ".usda", ".usdc")
@@ -202,23 +203,23 @@ def write_layer(source: Sdf.Layer | Usd.Stage, path: str | Path) -> Path:
 
     Args:
         source: Layer to write, or a stage, of which the root layer is written.
-        path: File to write, ending in ``.usda``, ``.usdc`` or ``.usd``, in an existing folder.
+        path: File to write, ending in ``.usda``, ``.usdc`` or ``.usd``. Its folder is made where
+            it is missing.
 
     Returns:
         ``path``, once the layer is complete on disk.
 
     Raises:
-        LayerError: The folder is missing or cannot be written to, or the name is no layer's.
+        LayerError: The folder cannot be made or written to, or the name is no layer's.
     """
     # A stage stays referenced to the end: its root layer would expire with it.
     layer = source.GetRootLayer() if isinstance(source, Usd.Stage) else source
     path = Path(path)
     if path.suffix not in _LAYER_SUFFIXES:
         raise LayerError(f"{path}: cannot write this kind of file; end its name in .usda")
-    if not path.parent.is_dir():
-        raise LayerError(f"{path}: the folder {path.parent} does not exist; create it first")
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with quiet_diagnostics():
             _export(layer, temporary, path)
         with open(temporary, "rb") as file:
@@ -230,7 +231,8 @@ def write_layer(source: Sdf.Layer | Usd.Stage, path: str | Path) -> Path:
             "free space"
         ) from None
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
     if layer.realPath != str(path.resolve()):
         reload_open_copy(path)
     return path
@@ -241,6 +243,8 @@ def check_output(
 ) -> None:
     """Refuse an output that would fail after the work is done, or destroy an input.
 
+    Folders that are missing are made when the files are written.
+
     Args:
         output: Layer to write.
         inputs: Files the step reads.
@@ -248,17 +252,17 @@ def check_output(
         step: What the step is called in the message, such as ``capture``.
 
     Raises:
-        LayerError: The name is no layer's, or the folder is missing.
-        UsageError: The layer, or a file beside it, is an input.
+        UsageError: The name is no layer's; or the layer, or a file beside it, is an input or a
+            folder.
+        UsdSkinError: The folder cannot be made or written to.
     """
     if output.suffix not in _LAYER_SUFFIXES:
-        raise LayerError(f"{output}: cannot write this kind of file; end its name in .usda")
-    if not output.parent.is_dir():
-        raise LayerError(f"{output}: the folder {output.parent} does not exist; create it first")
+        raise UsageError(f"{output}: cannot write this kind of file; end its name in .usda")
     taken = {path.resolve() for path in inputs}
     for path in (output, *beside):
         if path.resolve() in taken:
             raise UsageError(f"{path}: is an input of this {step}; write to another name or folder")
+        check_writable(path)
 
 
 def used_files(stage: Usd.Stage) -> list[Path]:

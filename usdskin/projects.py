@@ -19,6 +19,7 @@ from usdskin.layers import record_provenance, write_layer
 from usdskin.meshfiles.asset import AssetOptions, write_asset
 from usdskin.meshfiles.materials import write_material
 from usdskin.meshfiles.meshfile import FileMaterial, MeshFile
+from usdskin.replacing import check_place
 
 # isort: split
 # After ours, which register the schemas.
@@ -53,7 +54,7 @@ def new_project(directory: str | Path, template: str = "portrait") -> Path:
 
     Raises:
         UsageError: The template is not known, or the folder holds something.
-        LayerError: The folder cannot be written.
+        UsdSkinError: The folder cannot be made or written to.
     """
     directory = Path(directory)
     if template not in TEMPLATES:
@@ -62,6 +63,7 @@ def new_project(directory: str | Path, template: str = "portrait") -> Path:
         raise UsageError(f"{directory}: is a file; name a folder that is new or empty")
     if directory.is_dir() and any(directory.iterdir()):
         raise UsageError(f"{directory}: is not empty; name a folder that is new or empty")
+    check_place(directory)
     try:
         directory.parent.mkdir(parents=True, exist_ok=True)
         made = Path(tempfile.mkdtemp(prefix=f".{directory.name}.", dir=directory.parent))

@@ -129,7 +129,7 @@ def compare(
 
     known_bars(threshold or {})
     if output is not None:
-        map_files(output, picture.stem)
+        map_files(output, picture.stem, (truth, picture))
     found = compare_pictures(
         truth,
         picture,

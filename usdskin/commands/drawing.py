@@ -22,7 +22,7 @@ def check_plot(plot: Path | None, layer: Path, inputs: Iterable[Path | None]) ->
 
     Raises:
         UsageError: The name is no figure's, matplotlib is not installed, or it is one of the files.
-        ImageError: The folder is missing.
+        UsdSkinError: The folder cannot be made or written to.
     """
     if plot is not None:
         from usdskin.plots.step import check_figure

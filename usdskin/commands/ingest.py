@@ -104,7 +104,7 @@ def ingest(options: GlobalOptions, /, directory: Path, output: Path | None, **gi
     if given["lens"] and (given["projection"] or given["field_deg"]):
         raise UsageError("--lens tells the projection; leave --projection and --fov out.")
     from usdskin.capture.ingest.options import IngestOptions
-    from usdskin.capture.ingest.step import check_output, describe_survey, write_survey
+    from usdskin.capture.ingest.step import check_survey_output, describe_survey, write_survey
     from usdskin.capture.ingest.survey import survey
     from usdskin.inspect import print_report
 
@@ -113,7 +113,7 @@ def ingest(options: GlobalOptions, /, directory: Path, output: Path | None, **gi
     told = {name: value for name, value in given.items() if value is not None}
     wanted = IngestOptions(threads=options.threads, **told)
     if output is not None:
-        check_output(output, wanted)
+        check_survey_output(output, wanted)
     notes: list[Note] = []
     with reporter:
         found = survey(directory, wanted, notes, reporter.progress())

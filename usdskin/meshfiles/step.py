@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from usdskin.errors import UsageError
-from usdskin.layers import SettingValue
+from usdskin.layers import SettingValue, check_output
 from usdskin.meshfiles.asset import SCHEMES, AssetOptions, write_asset
 from usdskin.meshfiles.edit import angle_weighted_normals, keep_groups
 from usdskin.meshfiles.meshfile import MeshFile
@@ -155,10 +155,7 @@ def _check_options(
         raise UsageError(f"--normals has no effect on a {scheme} surface; choose --subdivide none")
     if decimate_to is not None and decimate_to < 4:
         raise UsageError(f"--decimate {decimate_to}: keep 4 triangles or more")
-    if output.suffix not in (".usd", ".usda", ".usdc"):
-        raise UsageError(f"{output}: cannot write this kind of file; end its name in .usda")
-    if source.exists() and output.exists() and source.samefile(output):
-        raise UsageError(f"{output}: is the mesh itself; choose another name")
+    check_output(output, [source], step="import")
 
 
 def _with_flipped_v(mesh: MeshFile) -> MeshFile:

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 
 from pxr import Usd
 
-from usdskin.errors import ImageError, LayerError, UsageError
+from usdskin.errors import LayerError, UsageError
 from usdskin.layers import corruption_as_errors, named_files, open_stage
 from usdskin.notes import Note
 from usdskin.plots.figures import figure_format, save_figure, styled
+from usdskin.replacing import check_writable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,7 +82,7 @@ def check_figure(output: Path, layer: Path, inputs: Iterable[Path | None]) -> No
     Raises:
         LayerError: An input is a broken layer.
         UsageError: Another kind of file, matplotlib is not installed, or the figure is an input.
-        ImageError: The folder is missing.
+        UsdSkinError: The folder cannot be made or written to.
     """
     _check_figure(output)
     taken = {layer.resolve()}
@@ -97,8 +98,7 @@ def check_figure(output: Path, layer: Path, inputs: Iterable[Path | None]) -> No
 
 def _check_figure(output: Path) -> None:
     figure_format(output)
-    if not output.parent.is_dir():
-        raise ImageError(f"{output}: the folder {output.parent} does not exist; create it first")
+    check_writable(output)
     with styled():
         pass  # refuse before the work where there is no matplotlib
 

@@ -30,11 +30,11 @@ from usdskin.render.materials import SkinMaterial, read_materials
 from usdskin.render.opening import opened
 from usdskin.render.overrides import MapOverrides, RenderOverrides
 from usdskin.render.preview import render_png
-from usdskin.render.products import prepare_folders
 from usdskin.render.scene import mean_white
 from usdskin.render.settings import read_settings
 from usdskin.render.surface_rows import SpectralFrame, wraps_of
 from usdskin.render.surfaces import band_groups, build_surfaces
+from usdskin.replacing import check_writable
 from usdskin.warp_kernels import normals, reflectance_map, structs
 
 # isort: split
@@ -65,7 +65,9 @@ def write_map(
     begun = clock.perf_counter()
     notes: list[Note] = []
     width = _checked_width(overrides, output)
-    prepare_folders([output])
+    png = output.with_suffix(".png")
+    for file in (output, png):
+        check_writable(file)
     flags = RenderOverrides(
         wavelength_nm=overrides.wavelength_nm,
         observer=overrides.observer,
@@ -106,7 +108,6 @@ def write_map(
         output, settings.wavelength_nm, spectrum, rgb, units, header,
         settings.compression, color_space=settings.color_space,
     )  # fmt: skip
-    png = output.with_suffix(".png")
     opaque = np.ones((*rgb.shape[:2], 1), np.float32)
     render_png(
         png, np.concatenate([rgb, opaque], axis=-1), color_space=settings.color_space,

@@ -6,7 +6,6 @@ Makes: ``Product``, one per picture, with every file's name.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -27,6 +26,7 @@ from usdskin.render.opinions import (
     truth,
 )
 from usdskin.render.overrides import RenderOverrides
+from usdskin.replacing import check_writable
 
 # isort: split
 # After ours, which register the schemas.
@@ -275,8 +275,6 @@ def _name_output(
         raise UsageError(f"{output}: a picture's name ends in .exr or .png.")
     if output.suffix.lower() == ".png":
         _check_png_alone(output, overrides)
-    if output.is_dir():
-        raise UsageError(f"{output}: this is a folder; give a file name, such as picture.exr.")
     everything = WantedParts(
         beauty=True, spectral=spectral_asked, half=half, aovs=tuple(aovs.values())
     )
@@ -359,12 +357,12 @@ def prepare_folders(files: Iterable[Path]) -> None:
     """Make the folders of files and check that they can be written to, before rendering.
 
     Raises:
-        ImageError: A folder cannot be made or written to.
+        UsageError: A name is that of a folder.
+        UsdSkinError: A folder cannot be made or written to.
     """
-    for folder in sorted({file.parent for file in files}):
+    for file in files:
+        check_writable(file)
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            file.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise ImageError(f"{folder}: cannot make this folder: {error.strerror}.") from None
-        if not os.access(folder, os.W_OK | os.X_OK):
-            raise ImageError(f"{folder}: cannot write to this folder; choose another.")
+            raise ImageError(f"{file.parent}: cannot make this folder: {error.strerror}.") from None

@@ -17,8 +17,13 @@ import numpy as np
 from usdskin.capture.ingest.options import IngestOptions
 from usdskin.capture.ingest.survey import Survey, survey
 from usdskin.capture.ingest.survey_checks import shown_share, shown_time
-from usdskin.errors import LayerError, UsageError
-from usdskin.layers import SettingValue, quiet_diagnostics, record_provenance, write_layer
+from usdskin.layers import (
+    SettingValue,
+    check_output,
+    quiet_diagnostics,
+    record_provenance,
+    write_layer,
+)
 from usdskin.notes import Note
 from usdskin.prims import Shoot, View, write_bracket, write_lens, write_rotation
 from usdskin.prims.writing import write_schema
@@ -27,8 +32,6 @@ from usdskin.progress import Progress
 # isort: split
 # After ours, which register the schemas.
 from pxr import Gf, Usd, UsdGeom
-
-_SUFFIXES = (".usda", ".usdc", ".usd")
 
 
 def ingest(
@@ -58,24 +61,19 @@ def ingest(
         LayerError: The table or the lens layer cannot be used, or the output not be written.
     """
     options, output = options or IngestOptions(), Path(output)
-    check_output(output, options)
+    check_survey_output(output, options)
     found = survey(Path(directory), options, [] if notes is None else notes, progress)
     return write_survey(found, output, options)
 
 
-def check_output(output: Path, options: IngestOptions) -> None:
+def check_survey_output(output: Path, options: IngestOptions) -> None:
     """Refuse what would fail after the photographs are read, or destroy an input.
 
     Raises:
-        LayerError: The output cannot be written under this name.
-        UsageError: The output is the lens layer.
+        UsageError: The output cannot have this name, or is the lens layer.
+        UsdSkinError: The folder cannot be made or written to.
     """
-    if output.suffix not in _SUFFIXES:
-        raise LayerError(f"{output}: cannot write this kind of file; end its name in .usda")
-    if not output.parent.is_dir():
-        raise LayerError(f"{output}: the folder {output.parent} does not exist; create it first")
-    if options.lens is not None and options.lens.resolve() == output.resolve():
-        raise UsageError(f"{output}: is the lens layer itself; choose another name")
+    check_output(output, [] if options.lens is None else [options.lens], step="ingest")
 
 
 def write_survey(found: Survey, output: Path, options: IngestOptions) -> Path:

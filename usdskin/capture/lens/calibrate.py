@@ -24,7 +24,7 @@ from usdskin.capture.lens.models import MODELS
 from usdskin.capture.lens.plot import write_plot
 from usdskin.errors import ImageError, UsageError
 from usdskin.fisheye import check_lens
-from usdskin.layers import SettingValue, record_provenance, write_layer
+from usdskin.layers import SettingValue, check_output, record_provenance, write_layer
 from usdskin.notes import Note
 from usdskin.prims import FisheyeLens, write_lens
 from usdskin.progress import Progress, SilentProgress
@@ -182,15 +182,9 @@ def _check_names(
     output: Path, inputs: Sequence[Path], plot: str | Path | None, max_angle_deg: float | None
 ) -> None:
     """Refuse what can be refused before anything is read."""
-    if output.suffix not in (".usd", ".usda", ".usdc"):
-        raise UsageError(f"{output}: cannot write this kind of file; end its name in .usda")
     if plot is not None and Path(plot).suffix.lower() != ".png":
         raise UsageError(f"--plot {plot}: a plot is a PNG; end its name in .png")
-    for name in inputs:
-        for written in (output, plot):
-            if written is not None and name.exists() and Path(written).exists():
-                if name.samefile(written):
-                    raise UsageError(f"{written}: is one of the inputs; choose another name")
+    check_output(output, inputs, [] if plot is None else [Path(plot)], step="calibration")
     if max_angle_deg is not None and not 0.0 < max_angle_deg <= 180.0:
         raise UsageError(f"--max-angle {max_angle_deg:g}: give an angle above 0, at most 180 deg")
 

@@ -8,6 +8,7 @@ mask, Y_n, white and figures in their headers.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,10 @@ from numpy.typing import NDArray
 
 from usdskin import __version__
 from usdskin.capture.quality.drawing import text_width, write
-from usdskin.errors import ImageError, UsageError
+from usdskin.errors import UsageError
 from usdskin.images import Part, write_exr, write_png
 from usdskin.judge.comparison.compare import Comparison
+from usdskin.replacing import check_writable
 
 FloatImage = NDArray[np.float32]
 
@@ -29,22 +31,31 @@ _OVER = (255, 0, 200)
 """Differences beyond the scale: a colour that the scale has not."""
 
 
-def map_files(output: Path, stem: str) -> list[Path]:
+def map_files(output: Path, stem: str, compared: Iterable[Path]) -> list[Path]:
     """Return the names of the EXR and the PNG, or of the PNG alone where it is named.
 
     Args:
         output: A folder, or a file that ends in .exr or .png.
         stem: Name of the judged picture without suffixes.
+        compared: The pictures, which stay as they are.
 
     Raises:
-        UsageError: It is a file of another kind.
+        UsageError: It is a file of another kind, or one of the pictures.
+        UsdSkinError: The folder cannot be made or written to.
     """
     kind = output.suffix.lower()
     if output.is_dir() or not kind:
-        return [output / f"{stem}.difference{suffix}" for suffix in (".exr", ".png")]
-    if kind not in (".exr", ".png"):
+        files = [output / f"{stem}.difference{suffix}" for suffix in (".exr", ".png")]
+    elif kind in (".exr", ".png"):
+        files = [output] if kind == ".png" else [output, output.with_suffix(".png")]
+    else:
         raise UsageError(f"-o {output}: give a folder, or a name that ends in .exr or .png.")
-    return [output] if kind == ".png" else [output, output.with_suffix(".png")]
+    taken = {path.resolve() for path in compared}
+    for file in files:
+        if file.resolve() in taken:
+            raise UsageError(f"{file}: this is one of the pictures compared; choose another name.")
+        check_writable(file)
+    return files
 
 
 def write_maps(comparison: Comparison, output: str | Path) -> list[Path]:
@@ -58,19 +69,10 @@ def write_maps(comparison: Comparison, output: str | Path) -> list[Path]:
         The files written.
 
     Raises:
-        ImageError: They cannot be written, or would take the place of a picture compared.
-        UsageError: The name is neither a folder nor that of a picture.
+        UsageError: The name is neither a folder nor that of a picture, or a picture compared.
+        UsdSkinError: They cannot be written.
     """
-    files = map_files(Path(output), comparison.stem)
-    compared = {path.resolve() for path in (comparison.truth, comparison.picture)}
-    for file in files:
-        if file.resolve() in compared:
-            raise ImageError(f"{file}: this is one of the pictures compared; choose another name.")
-    folder = files[0].parent
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ImageError(f"{folder}: cannot make this folder: {error.strerror}.") from None
+    files = map_files(Path(output), comparison.stem, (comparison.truth, comparison.picture))
     said = json.dumps(comparison.as_json(), sort_keys=True)
     header = {"usdskin/version": __version__, "usdskin/comparison": said}
     for file in files:

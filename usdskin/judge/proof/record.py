@@ -22,7 +22,7 @@ from usdskin import __version__
 from usdskin.errors import LayerError, UsageError
 from usdskin.layers import sha256
 from usdskin.notes import Note
-from usdskin.replacing import replacing
+from usdskin.replacing import check_place, replacing
 
 PROOF_NAME = "proof.json"
 JOURNAL_NAME = ".steps.json"
@@ -101,7 +101,7 @@ class Journal:
 
         Raises:
             UsageError: The folder holds something else, or a proof that was not to go on.
-            LayerError: It cannot be made.
+            UsdSkinError: It cannot be made or written to.
         """
         self.folder = folder
         self.steps: list[StepRecord] = []
@@ -119,10 +119,14 @@ class Journal:
                     )
             elif folder.exists() and any(folder.iterdir()):
                 raise UsageError(f"{folder}: is there already; name a folder that is new or empty")
-            folder.mkdir(parents=True, exist_ok=True)
+            if not folder.exists():
+                check_place(folder)
+                folder.mkdir(parents=True)
             _write_json(path, []) if not self._before else None
         except OSError as error:
-            raise LayerError(f"{folder}: cannot be used ({error.strerror})") from None
+            raise LayerError(
+                f"{folder}: cannot be used ({error.strerror}); choose another"
+            ) from None
 
     def relative(self, path: Path) -> str:
         """Return how a file is named from the proof's folder."""

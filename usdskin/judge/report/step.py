@@ -33,7 +33,7 @@ from usdskin.judge.report.shown import section
 from usdskin.judge.report.verdict import headline, verdict_section
 from usdskin.judge.report.views import read_views
 from usdskin.notes import Note
-from usdskin.replacing import scratch_beside
+from usdskin.replacing import check_writable, scratch_beside
 
 __all__ = ["Report", "write_report"]
 
@@ -95,8 +95,7 @@ def _outputs(proof: Proof, output: Path) -> tuple[Path, Path, Path]:
     for path in paths:
         if path.resolve() in taken:
             raise UsageError(f"{path}: is a file of the proof; write to another name.")
-        if path.is_dir() or not path.parent.is_dir():
-            raise UsageError(f"{path}: cannot be written; name a file in a folder that is there.")
+        check_writable(path)
     return paths
 
 

@@ -36,6 +36,7 @@ from usdskin.judge.shoot.viewpoints import misread, rotation_of
 from usdskin.notes import Note
 from usdskin.prims import FisheyeLens
 from usdskin.progress import Progress, SilentProgress
+from usdskin.replacing import check_place
 
 __all__ = ["Setup", "fisheye", "photograph"]
 
@@ -90,6 +91,7 @@ def new_folder(output: Path) -> Iterator[Path]:
     """Give a folder that takes the name of ``output`` when the block ends well."""
     if output.exists() and not (output.is_dir() and not any(output.iterdir())):
         raise UsageError(f"{output}: is there already; name a folder that is new or empty")
+    check_place(output)
     made: Path | None = None
     try:
         output.parent.mkdir(parents=True, exist_ok=True)

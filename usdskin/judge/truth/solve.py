@@ -132,7 +132,6 @@ def solve_set(
     began = time.perf_counter()
     scene = read_set(path, nm, notes)
     layers = _layers(output, scene.classes)
-    output.parent.mkdir(parents=True, exist_ok=True)
     inputs = sorted(named_files(path))
     for layer in {output, *layers.values()}:
         check_output(layer, inputs, light_files(layer, form), step="solution")
