@@ -8,7 +8,6 @@ the way. Per baked mesh k there are ``k/weakened`` (bits, [row_count, word_count
 
 from __future__ import annotations
 
-import os
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdskin.errors import LayerError
+from usdskin.replacing import replacing
 
 _PART_TYPES = {
     "weakened": np.uint32,
@@ -109,7 +109,7 @@ def write_transfers(path: Path, transfers: Sequence[MeshTransfer], hashes: dict[
         hashes: Hash of all geometry by prim path.
 
     Raises:
-        LayerError: The file cannot be written.
+        ImageError: The file cannot be written.
     """
     arrays: dict[str, NDArray[np.generic]] = {
         "meshes": np.array(list(hashes), dtype=np.str_),
@@ -118,20 +118,8 @@ def write_transfers(path: Path, transfers: Sequence[MeshTransfer], hashes: dict[
     for k, transfer in enumerate(transfers):
         for name in _PART_TYPES:
             arrays[f"{k}/{name}"] = getattr(transfer, name)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.npz")
-    try:
-        with open(temporary, "wb") as file:
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise LayerError(
-            f"{path}: cannot be written ({error.strerror}); check the folder's permissions and "
-            "free space"
-        ) from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as temporary:
+        np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
 
 
 class TransferFile:

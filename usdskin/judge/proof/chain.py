@@ -178,7 +178,6 @@ class Chain(Steps):
         given = CaptureOptions(
             refine_rotations=True, device=self.options.device, threads=self.options.threads
         )
-        capture.parent.mkdir(parents=True, exist_ok=True)
         result = capture_shoot(shoot, capture, given, self.progress)
         doing.writes += result.paths
         doing.notes += result.notes

@@ -23,7 +23,6 @@ def compare_render(truth: Path, picture: Path, maps: Path, observer: str, place:
     """
     options = CompareOptions(select=(SHOT_SKIN,), observer=observer)  # type: ignore[arg-type]
     found = compare_pictures(truth, picture, options)
-    maps.parent.mkdir(parents=True, exist_ok=True)
     written = write_maps(found, maps)
     result = found.as_json()
     result |= {"truth": place.name_of(truth), "picture": place.name_of(picture)}

@@ -148,5 +148,4 @@ def _refer(source: Path, target: Path) -> Path:
     reference: Callable[[str], Sdf.Reference] = Sdf.Reference
     with quiet_diagnostics():  # in memory, a stage cannot find what lies beside its file
         prim.GetReferences().AddReference(reference(name))
-    target.parent.mkdir(parents=True, exist_ok=True)
     return write_layer(stage, target)

@@ -216,7 +216,6 @@ class _RealStreet:
         )
 
         def run(doing: Doing) -> None:
-            output.parent.mkdir(parents=True, exist_ok=True)
             result = capture_shoot(shoot, output, given, self.progress)
             doing.writes += result.paths
             doing.notes += result.notes

@@ -50,7 +50,6 @@ def render_shot(
         progress: Told how far it is.
         seed: Of the samples; None: the proof's.
     """
-    output.parent.mkdir(parents=True, exist_ok=True)
     overrides = RenderOverrides(
         width=options.size.width,
         integrator=integrator,

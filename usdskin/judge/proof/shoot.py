@@ -159,7 +159,6 @@ def write_stated_lens(lens: FisheyeLens, path: Path) -> Path:
     stage.SetDefaultPrim(camera)
     write_lens(camera, lens)
     record_provenance(stage, "prove", [], {}, path.parent)
-    path.parent.mkdir(parents=True, exist_ok=True)
     return write_layer(stage, path)
 
 

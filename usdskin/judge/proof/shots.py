@@ -162,7 +162,6 @@ def _write(layer: Sdf.Layer, inputs: Sequence[Path], output: Path) -> Path:
     with quiet_diagnostics():  # in memory, a stage cannot find what lies beside its file
         stage = Usd.Stage.Open(layer, Usd.Stage.LoadNone)
         record_provenance(stage, "prove", inputs, {}, output.parent)
-    output.parent.mkdir(parents=True, exist_ok=True)
     return write_layer(layer, output)
 
 

@@ -94,7 +94,6 @@ def write_true_skin(skin: SkinParameters, shot: Path, output: Path) -> Path:
     surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
     material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
     record_provenance(stage, "prove", [shot], {}, output.parent)
-    output.parent.mkdir(parents=True, exist_ok=True)
     return write_layer(stage, output)
 
 
