@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from usdskin.errors import DeviceError, ImageError, LayerError, UsageError
+from usdskin.errors import DeviceError, LayerError, UsageError, UsdSkinError
 from usdskin.layers import open_stage
 from usdskin.render import memory
 from usdskin.render.opinions import parse_wavelengths
@@ -537,17 +537,18 @@ def test_folders_are_made_before_rendering(resolve, tmp_path):
     assert (tmp_path / "new").is_dir()
 
 
-def test_folder_that_cannot_be_made_is_an_image_error(resolve, tmp_path):
+def test_folder_that_cannot_be_made_is_refused(resolve, tmp_path):
     (tmp_path / "file").write_text("")
     (picture,) = resolve(output=tmp_path / "file" / "o.exr")[0].products
-    with pytest.raises(ImageError, match="file"):
+    with pytest.raises(UsdSkinError, match="file"):
         prepare_folders(picture.files)
 
 
 def test_output_that_is_a_folder_is_a_usage_error(resolve, tmp_path):
     (tmp_path / "d.exr").mkdir()
+    (picture,) = resolve(output=tmp_path / "d.exr")[0].products
     with pytest.raises(UsageError, match="folder"):
-        resolve(output=tmp_path / "d.exr")
+        prepare_folders(picture.files)
 
 
 # Identity
