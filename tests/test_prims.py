@@ -157,6 +157,14 @@ def test_what_cannot_be_negative_is_not(skin: Usd.Prim, quantity: str) -> None:
     assert f"but {quantity} is never negative" in refusal(read_spectrum, skin, "reflectance")
 
 
+def test_a_reflectance_in_percent_is_refused(skin: Usd.Prim) -> None:
+    values = skin.GetAttribute("spectrum:reflectance:values")
+    values.Set([31.0, 38.0, 55.0])
+    assert "is 55.0 at index 2" in refusal(read_skin, skin)
+    values.Set([0.9, 1.4, 1.1])  # over a perfect diffuser, as fluorescent white paper
+    assert read_spectrum(skin, "reflectance") is not None
+
+
 @pytest.mark.parametrize("quantity", ["responsivity", "relative"])
 def test_estimated_responsivities_and_relative_spectra_may_be_negative(
     skin: Usd.Prim, quantity: str

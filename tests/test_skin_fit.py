@@ -567,6 +567,34 @@ def test_opacity_without_thickness_is_refused():
         fit_skin(gonio(thickness=np.full(48, 0.002)), FitOptions(delta="fit"))
 
 
+def test_sheets_without_opacity_are_refused():
+    theta = np.tile(angles(), 2)
+    through = np.repeat([0.0, 0.002], 24)
+    values = brightness(theta, *truth()) * np.exp(-400.0 * through)[:, None]
+    readings = readings_from_angles(theta, 0.0, None, values, thickness=through)
+    with pytest.raises(LayerError, match=r"24 of 48 readings are through up to 0.002 m.*opacity"):
+        fit_skin(readings, FitOptions(specular="ignore"))
+    assert fit_skin(readings.part(through == 0.0), FitOptions(specular="ignore")).wrap > 0.2
+
+
+def test_readings_that_are_no_such_skin_are_refused_or_noted():
+    """Mixed up, they are refused; those of a lamp that flickers are noted."""
+    rng = np.random.default_rng(5)
+    theta = angles(count=48)
+    values = brightness(theta, *truth())
+    mixed = readings_from_angles(theta, 0.0, None, values[rng.permutation(48)])
+    with pytest.raises(LayerError, match=r"leaves .* of the peak, .* times the noise"):
+        fit_skin(mixed, FitOptions(specular="ignore", robust=False))
+    flickering = np.where(np.arange(48) % 2, 0.75, 1.0)[:, None] * values
+    notes = []
+    readings = readings_from_angles(theta, 0.0, None, flickering)
+    fit_skin(readings, FitOptions(specular="ignore", robust=False), notes)
+    assert "poor-fit" in codes(notes)
+    notes = []
+    fit_skin(replace(readings, stddev=0.1 + 0.0 * flickering), FitOptions(specular="ignore"), notes)
+    assert "poor-fit" not in codes(notes)
+
+
 def test_lustre_without_views_is_refused():
     with pytest.raises(LayerError, match="without view directions"):
         fit_skin(gonio(theta_r_deg=None), FitOptions(specular="fit"))

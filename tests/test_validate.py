@@ -172,6 +172,10 @@ SPOILERS: dict[str, tuple[Spoiler, tuple[str, str, str]]] = {
         lambda shot: shot.skin.GetAttribute("spectrum:reflectance:values").Set([0.5, -0.5, 0.5]),
         ("error", "negative-value", "/World/Skin"),
     ),
+    "reflectance in percent": (
+        lambda shot: shot.skin.GetAttribute("spectrum:reflectance:values").Set([31.0, 38.0, 55.0]),
+        ("error", "looks-like-percent", "/World/Skin"),
+    ),
     "wrong in one frame only": (
         lambda shot: (
             shot.skin.GetAttribute("inputs:skin:opacity").Set(1.0, 1.0),

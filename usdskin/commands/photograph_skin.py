@@ -61,7 +61,11 @@ def photograph_skin(
 
     \b
     Example:
-        usdskin photograph-skin stages/sphere/sphere.usda -o session --calibration camera.usda
+        usdskin photograph stages/capture_room/tubes.usda -o tubes --chart classic24 \
+            --chart-only --light-class tubes
+        usdskin calibrate camera tubes/chart.usda -o camera.usda
+        usdskin photograph-skin stages/sphere/sphere.usda -o session --calibration camera.usda \
+            --light-class tubes --illuminant FL2
         usdskin estimate skin session/samples.usda -o skin.usda
     """
     with Reporter(options) as reporter:

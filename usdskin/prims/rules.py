@@ -15,6 +15,8 @@ import numpy as np
 Values = Mapping[str, Any]
 
 _SIGNED_QUANTITIES = ("responsivity", "relative")
+_PERCENT = 3.0
+"""Largest reflectance [1]; fluorescent paper and lustre stay below it, percents do not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,6 +194,15 @@ def _distribution(values: Values) -> Iterator[Complaint]:
                 f"is {values['values'][at]!s} at index {at}, but "
                 f"{values['quantity'] or 'it'} is never negative; correct the "
                 f"{negative.size} negative samples",
+            )
+    if values["quantity"] == "reflectance" and _count(values["values"]):
+        at = int(np.argmax(values["values"]))
+        if values["values"][at] > _PERCENT:
+            yield Complaint(
+                "looks-like-percent",
+                "values",
+                f"is {values['values'][at]!s} at index {at}, but a reflectance of all light is 1; "
+                "divide percents by 100",
             )
 
 

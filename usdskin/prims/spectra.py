@@ -36,7 +36,8 @@ def read_spectrum(
 
     Raises:
         LayerError: The samples are missing, of unequal number, not ascending, not finite,
-            negative where the quantity forbids it, or of another quantity than asked for.
+            negative or percents where the quantity forbids it, or of another quantity than
+            asked for.
     """
     if name not in instances(prim, _SCHEMA):
         return None
@@ -45,7 +46,7 @@ def read_spectrum(
     attribute = prim.GetAttribute(f"spectrum:{name}:quantity")
     if quantities and not attribute.HasAuthoredValue():
         quantity = quantities[0]
-        _refuse_negative(prim, name, values, quantity)
+        _refuse_as(prim, name, values, quantity)
     elif quantities and quantity not in quantities:
         allowed = " or ".join(item.value for item in quantities)
         text = f'is "{quantity.value}"; it must be {allowed} here'
@@ -53,7 +54,7 @@ def read_spectrum(
     return Spectrum(quantity, values["wavelengths"], values["values"], values["interpolation"])
 
 
-def _refuse_negative(
+def _refuse_as(
     prim: Usd.Prim, name: str, values: dict[str, Any], quantity: SpectralQuantity
 ) -> None:
     for rule in RULES[_SCHEMA]:

@@ -30,6 +30,9 @@ _SATURATED_SPREAD = 0.03
 _EXCHANGED_RATIO = 9.0
 _EXCHANGED_ERROR = 0.03
 _MOST_TO_JUDGE = 4000
+_BAD_FIT = 0.05  # of the peak; light that diffuses far leaves up to .15 (docs/skin.md)
+_NO_FIT = 0.2
+_BEYOND_NOISE = 3.0
 
 
 def usable(readings: Readings, notes: list[Note]) -> Mask:
@@ -179,25 +182,57 @@ def refuse_short(readings: Readings, freedom: Freedom) -> None:
 
 
 def refuse_thickness(readings: Readings, freedom: Freedom) -> None:
-    """Refuse to find delta without thicknesses that differ.
+    """Refuse to find delta without thicknesses that differ, and such thicknesses without delta.
 
     Args:
         readings: All of them are used.
         freedom: What is to be found.
 
     Raises:
-        LayerError: delta is free, but the thicknesses are not known, or all the same.
+        LayerError: delta is free, but the thicknesses are not known, or all the same; or they
+            differ, and what they take away would count as lack of reflectance.
     """
-    if not freedom.delta:
-        return
     thickness = readings.thickness
-    if thickness is None or np.ptp(thickness) < 1e-9:
+    differ = thickness is not None and float(np.ptp(thickness)) >= 1e-9
+    if freedom.delta and not differ:
         known = "not known" if thickness is None else f"all {thickness[0]:g} m"
         raise LayerError(
             f"{readings.where}: opacity cannot be found, because the thicknesses are {known} and "
             "one thickness only scales the reflectance; measure through several, or leave opacity "
             "out"
         )
+    if differ and not freedom.delta:
+        assert thickness is not None
+        number = int(np.count_nonzero(thickness > thickness.min()))
+        raise LayerError(
+            f"{readings.where}: {number} of {len(thickness)} readings are through up to "
+            f"{thickness.max():g} m of the body, which takes light by its opacity; fit that too "
+            "(--opacity fit), or mask them"
+        )
+
+
+def refuse_misfit(readings: Readings, rms: float, noise: float, notes: list[Note]) -> None:
+    """Refuse readings that eq. (1) does not describe; note those that it describes badly.
+
+    Args:
+        readings: What was fitted.
+        rms: Root mean square of what the fit leaves, as a share of the peak [1].
+        noise: The same over the standard deviations stated or assumed [1].
+        notes: Takes the note.
+
+    Raises:
+        LayerError: More than a fifth of the peak is left, and noise does not explain it.
+    """
+    if rms < _BAD_FIT or noise < _BEYOND_NOISE:
+        return
+    what = f"the fit leaves {rms:.1%} of the peak, {noise:.3g} times the noise"
+    if rms > _NO_FIT:
+        raise LayerError(
+            f"{readings.where}: {what}, so equation (1) does not describe these readings; check "
+            "their angles, their white, and that all are of one place under one lamp"
+        )
+    text = f"{what}: a poor fit, whose numbers stand for these readings only roughly; see --plot"
+    notes.append(Note("poor-fit", readings.where, text))
 
 
 def refuse_exchanged(readings: Readings, fixed: Coefficients, noise: Noise) -> None:

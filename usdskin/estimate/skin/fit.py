@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from usdskin.errors import LayerError
 from usdskin.estimate.skin.checks import (
     refuse_exchanged,
+    refuse_misfit,
     refuse_percent,
     refuse_short,
     refuse_thickness,
@@ -149,8 +150,9 @@ def fit_skin(
 
     Raises:
         LayerError: The readings cannot be what they are said to be (radians, percents, light and
-            view exchanged), are too few, cannot tell what is asked, or contain a lustre that was
-            not asked for. The message begins with ``readings.where``.
+            view exchanged), are too few, cannot tell what is asked, contain a lustre or a thickness
+            that was not asked for, or are not what eq. (1) describes.
+            The message begins with ``readings.where``.
         ValueError: The options do not fit the readings.
     """
     options, notes = options or FitOptions(), [] if notes is None else notes
@@ -282,6 +284,8 @@ def _described(
     sigma = scale * stated
     residuals = readings.values - predicted
     peak = np.maximum(predicted[used].max(axis=0), 1e-12)
+    rms = float(np.sqrt(((residuals[used] / peak) ** 2).mean()))
+    refuse_misfit(readings, rms, found.scale, notes)
     shape = structure_of(residuals[used], sigma[used], kept.theta_deg, peak)
     report = identifiability(kept, model.freedom, at, names, covariance)
     best_wrap = found.solution.coefficients.wrap
@@ -301,7 +305,7 @@ def _described(
         sigma=sigma,
         used=used,
         noise=found.scale,
-        residual_rms=float(np.sqrt(((residuals[used] / peak) ** 2).mean())),
+        residual_rms=rms,
         chi2=found.chi2,
         freedom=found.freedom,
         structure=shape,
