@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -166,3 +167,22 @@ def test_a_late_failure_names_the_file_and_not_its_temporary_name(folder):
     with pytest.raises(ImageError, match="cannot write") as caught:
         write_exr(path.with_suffix(".exr"), [Part("Z", {"Z": np.zeros((2, 2), np.float32)})])
     assert ".a." not in str(caught.value)
+
+
+@pytest.mark.parametrize("command", ["render", "map"])
+def test_a_picture_that_the_stage_is_made_of_is_not_written_over(tmp_path, capfd, command):
+    folder = tmp_path / "sphere"
+    shutil.copytree(SPHERE.parent, folder)
+    picture = folder / "sky.exr"
+    write_exr(picture, [Part("", {name: np.ones((8, 16), np.float32) for name in "RGB"})])
+    before = picture.read_bytes()
+    stage = folder / "lit.usda"
+    stage.write_text(
+        '#usda 1.0\n(\n    defaultPrim = "World"\n    subLayers = [@./sphere.usda@]\n)\n'
+        'over "World"\n{\n    def DomeLight "Sky"\n    {\n'
+        "        asset inputs:texture:file = @./sky.exr@\n    }\n}\n"
+    )
+    words = ["-o"] if command == "map" else []
+    assert cli.main(["-q", command, str(stage), *words, str(picture)]) == 2
+    assert "sky.exr: is an input of this picture, named in lit.usda" in capfd.readouterr().err
+    assert picture.read_bytes() == before

@@ -533,7 +533,7 @@ def test_product_that_cannot_be_written_is_refused(resolve, body):
 
 def test_folders_are_made_before_rendering(resolve, tmp_path):
     (picture,) = resolve(output=tmp_path / "new" / "o.exr")[0].products
-    prepare_folders(picture.files)
+    prepare_folders(picture.files, tmp_path / "shot.usda")
     assert (tmp_path / "new").is_dir()
 
 
@@ -541,14 +541,14 @@ def test_folder_that_cannot_be_made_is_refused(resolve, tmp_path):
     (tmp_path / "file").write_text("")
     (picture,) = resolve(output=tmp_path / "file" / "o.exr")[0].products
     with pytest.raises(UsdSkinError, match="file"):
-        prepare_folders(picture.files)
+        prepare_folders(picture.files, tmp_path / "shot.usda")
 
 
 def test_output_that_is_a_folder_is_a_usage_error(resolve, tmp_path):
     (tmp_path / "d.exr").mkdir()
     (picture,) = resolve(output=tmp_path / "d.exr")[0].products
     with pytest.raises(UsageError, match="folder"):
-        prepare_folders(picture.files)
+        prepare_folders(picture.files, tmp_path / "shot.usda")
 
 
 # Identity

@@ -30,11 +30,11 @@ from usdskin.render.materials import SkinMaterial, read_materials
 from usdskin.render.opening import opened
 from usdskin.render.overrides import MapOverrides, RenderOverrides
 from usdskin.render.preview import render_png
+from usdskin.render.products import check_pictures
 from usdskin.render.scene import mean_white
 from usdskin.render.settings import read_settings
 from usdskin.render.surface_rows import SpectralFrame, wraps_of
 from usdskin.render.surfaces import band_groups, build_surfaces
-from usdskin.replacing import check_writable
 from usdskin.warp_kernels import normals, reflectance_map, structs
 
 # isort: split
@@ -66,8 +66,7 @@ def write_map(
     notes: list[Note] = []
     width = _checked_width(overrides, output)
     png = output.with_suffix(".png")
-    for file in (output, png):
-        check_writable(file)
+    check_pictures((output, png), layer_path)
     flags = RenderOverrides(
         wavelength_nm=overrides.wavelength_nm,
         observer=overrides.observer,

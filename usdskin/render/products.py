@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from usdskin.errors import ImageError, LayerError, UsageError
-from usdskin.layers import describe
+from usdskin.layers import describe, named_files
 from usdskin.notes import Note
 from usdskin.render.aovs import Aov, WantedParts, read_vars, requested_aovs
 from usdskin.render.cameras import find_camera
@@ -353,15 +353,39 @@ def _check_files(products: Sequence[Product]) -> None:
                 )
 
 
-def prepare_folders(files: Iterable[Path]) -> None:
-    """Make the folders of files and check that they can be written to, before rendering.
+def check_pictures(files: Iterable[Path], source: Path) -> None:
+    """Refuse pictures that could not be written in the end, or that the layer is made of.
+
+    Args:
+        files: To be written.
+        source: The layer that is rendered.
 
     Raises:
-        UsageError: A name is that of a folder.
+        UsageError: A name is that of a folder, or of a file that the layer names.
         UsdSkinError: A folder cannot be made or written to.
     """
+    files = list(files)
     for file in files:
         check_writable(file)
+    there = [file for file in files if file.exists()]
+    named = named_files(source) if there else set()
+    for file in there:
+        if file.resolve() in named:
+            raise UsageError(
+                f"{file}: is an input of this picture, named in {source.name} or below it; write "
+                "to another name or folder"
+            )
+
+
+def prepare_folders(files: Iterable[Path], source: Path) -> None:
+    """Make the folders of pictures, and check them as ``check_pictures``, before rendering.
+
+    Raises:
+        UsdSkinError: As ``check_pictures`` does, or a folder cannot be made.
+    """
+    files = list(files)
+    check_pictures(files, source)
+    for file in files:
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:

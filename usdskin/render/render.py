@@ -81,7 +81,8 @@ def render_stage(
     skipped = 0
     with opened(stage_path, overrides, report.notes) as stage:
         job = resolve_settings(stage, overrides, output, report.notes)
-        prepare_folders(file for product in job.products for file in product.files)
+        files = [file for product in job.products for file in product.files]
+        prepare_folders(files, stage_path)
         cache = FrameCache(find_changes(stage) if len(job.frames) > 1 else EVERYTHING)
         workers = open_workers(job.settings.device, job.settings.threads)
         loader = Loader(stage, job.settings, workers, report, cache)
