@@ -54,7 +54,7 @@ FOLDERS = (
     "new",
     "photograph none.usda -o",
     f"photograph-skin {SPHERE} -o",
-    f"prove {STAGES}/room_fluorescent -o",
+    f"prove {STAGES}/room_fluorescent --subject bust -o",
 )
 
 
