@@ -25,6 +25,7 @@ from usdskin.estimate.skin.prior import shipped_prior
 from usdskin.estimate.skin.publish import _azimuth
 from usdskin.estimate.skin.readings import readings_from_angles
 from usdskin.estimate.skin.spectra import MeasuredReflectance
+from usdskin.estimate.skin.table import read_goniometer_table
 from usdskin.illuminants import illuminant
 from usdskin.images import Part, read_image, write_exr, write_png
 from usdskin.layers import open_stage, write_layer
@@ -159,6 +160,31 @@ def test_a_table_of_readings_is_read(tmp_path):
     status, output = estimate(write_samples(tmp_path, table))
     assert status == 0
     assert skin_of(output).wrap == pytest.approx(WRAP, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("heading", "unit"),
+    [
+        ("thickness", 1.0),
+        ("thickness_m", 1.0),
+        ("Thickness [mm]", 1e-3),
+        ("thickness_mm", 1e-3),
+        ("thickness (\u00b5m)", 1e-6),
+    ],
+)
+def test_a_table_says_in_what_unit_its_thicknesses_are(tmp_path, heading, unit):
+    rows = f"thetaI,{heading},550\n0,0,0.5\n0,{0.0004 / unit:g},0.4\n"
+    (tmp_path / "readings.csv").write_text(rows)
+    table = read_goniometer_table(tmp_path / "readings.csv")
+    np.testing.assert_allclose(table.thickness, [0.0, 0.0004], rtol=1e-12)
+    assert table.names == ("550",)
+
+
+def test_readings_in_the_wrong_order_are_refused(tmp_path, capsys):
+    samples = spectral_samples()
+    mixed = np.random.default_rng(1).permutation(samples.values)
+    line = refused(capsys, write_samples(tmp_path, replace(samples, values=mixed)))
+    assert "of the peak" in line and "times the noise" in line
 
 
 def test_radiance_is_divided_by_the_white(tmp_path):
@@ -365,6 +391,7 @@ def test_columns_of_nobody_knows_what_are_refused(tmp_path, capsys):
         ("thetaI,550,560\n10,0.3,nan\n", "readings.csv:2"),
         ("thetaI,550,red\n10,0.3,0.4\n", "wavelengths"),
         ("thetaI\n10\n", "angles alone"),
+        ("thetaI,thickness [in],550\n10,0.1,0.3\n", "thickness [in]"),
         ("", "empty"),
     ],
 )

@@ -1,7 +1,8 @@
 """Read a goniometer's table: angles, and what came back at each.
 
 A heading names the columns: ``thetaI`` and ``thetaR``, optionally ``azimuth`` [deg] and
-``thickness`` [m]; every other column is a channel (R, G, B) or a wavelength (``550`` or ``550nm``).
+``thickness`` [m], or as in ``thickness [mm]``; every other column is a channel (R, G, B) or a
+wavelength (``550`` or ``550nm``).
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ _ANGLES = {
     "theta_i": ("thetai", "incidence", "incidentangle", "lightangle"),
     "theta_r": ("thetar", "reflection", "viewangle", "exitance", "observation"),
     "azimuth": ("azimuth", "phi", "relativeazimuth", "deltaphi"),
-    "thickness": ("thickness", "thicknessm"),
 }
+_THICKNESS = re.compile(r"^thickness[\s_]*[\[(]?\s*(\w*)\s*[\])]?$", re.IGNORECASE)
+_METRES = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "\u00b5m": 1e-6, "\u03bcm": 1e-6}
 _WAVELENGTH = re.compile(r"^[a-z_ ]*(\d{3,4}(?:\.\d+)?)\s*(nm)?$", re.IGNORECASE)
 
 
@@ -71,6 +73,7 @@ def read_goniometer_table(path: Path) -> GoniometerTable:
     rows = np.array([_row(path, number, line, names) for number, line in lines[1:]])
     if not len(rows):
         raise LayerError(f"{path}: has a heading but no readings; add rows")
+    columns["thickness"], metres = _thickness_column(path, number, names)
     taken = {index for index in columns.values() if index is not None}
     rest = [index for index in range(len(names)) if index not in taken]
     if not rest:
@@ -91,13 +94,13 @@ def read_goniometer_table(path: Path) -> GoniometerTable:
         index = columns[key]
         return None if index is None else rows[:, index]
 
-    theta_i = column("theta_i")
+    theta_i, thickness = column("theta_i"), column("thickness")
     assert theta_i is not None
     return GoniometerTable(
         theta_i=theta_i,
         theta_r=column("theta_r"),
         azimuth=column("azimuth"),
-        thickness=column("thickness"),
+        thickness=None if thickness is None else thickness * metres,
         values=rows[:, rest],
         names=tuple(names[index] for index in rest),
         wavelength_nm=nm,
@@ -135,6 +138,17 @@ def _angle_column(names: list[str], spellings: tuple[str, ...]) -> int | None:
         if plain in spellings:
             return index
     return None
+
+
+def _thickness_column(path: Path, number: int, names: list[str]) -> tuple[int | None, float]:
+    """Return the column of thicknesses and the unit of its heading [m]."""
+    for index, name in enumerate(names):
+        if match := _THICKNESS.match(name):
+            unit = match[1].lower()
+            if unit not in _METRES:
+                raise LayerError(f'{path}:{number}: "{name}" is in no unit known; give m, mm or um')
+            return index, _METRES[unit]
+    return None, 1.0
 
 
 def _row(path: Path, number: int, line: str, names: list[str]) -> list[float]:
