@@ -575,6 +575,18 @@ def test_sheets_without_opacity_are_refused():
     with pytest.raises(LayerError, match=r"24 of 48 readings are through up to 0.002 m.*opacity"):
         fit_skin(readings, FitOptions(specular="ignore"))
     assert fit_skin(readings.part(through == 0.0), FitOptions(specular="ignore")).wrap > 0.2
+    with pytest.raises(LayerError, match=r"24 of 24 readings are through up to 0.002 m.*opacity"):
+        fit_skin(readings.part(through > 0.0), FitOptions(specular="ignore"))
+
+
+def test_millimetres_taken_for_metres_are_refused():
+    with pytest.raises(LayerError, match=r"\[24\]: its thickness is 1.6 m.*0.0016 if these are mm"):
+        gonio(thickness=np.repeat([0.0, 1.6], 24))
+
+
+def test_a_camera_behind_the_skin_is_refused():
+    with pytest.raises(LayerError, match=r"theta_r is 135 degrees.*camera behind the skin"):
+        gonio(theta_r_deg=np.full(48, 135.0))
 
 
 def test_readings_that_are_no_such_skin_are_refused_or_noted():

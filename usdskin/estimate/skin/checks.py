@@ -182,28 +182,26 @@ def refuse_short(readings: Readings, freedom: Freedom) -> None:
 
 
 def refuse_thickness(readings: Readings, freedom: Freedom) -> None:
-    """Refuse to find delta without thicknesses that differ, and such thicknesses without delta.
+    """Refuse to find delta without thicknesses that differ, and thicknesses without delta.
 
     Args:
         readings: All of them are used.
         freedom: What is to be found.
 
     Raises:
-        LayerError: delta is free, but the thicknesses are not known, or all the same; or they
-            differ, and what they take away would count as lack of reflectance.
+        LayerError: delta is free, but the thicknesses are not known, or all the same; or it is
+            not, and what they take away would count as lack of reflectance.
     """
     thickness = readings.thickness
-    differ = thickness is not None and float(np.ptp(thickness)) >= 1e-9
-    if freedom.delta and not differ:
+    if freedom.delta and (thickness is None or np.ptp(thickness) < 1e-9):
         known = "not known" if thickness is None else f"all {thickness[0]:g} m"
+        rest = "leave opacity out" if thickness is None or thickness[0] == 0.0 else "without one"
         raise LayerError(
             f"{readings.where}: opacity cannot be found, because the thicknesses are {known} and "
-            "one thickness only scales the reflectance; measure through several, or leave opacity "
-            "out"
+            f"one thickness only scales the reflectance; measure through several, or {rest}"
         )
-    if differ and not freedom.delta:
-        assert thickness is not None
-        number = int(np.count_nonzero(thickness > thickness.min()))
+    if thickness is not None and thickness.any() and not freedom.delta:
+        number = int(np.count_nonzero(thickness))
         raise LayerError(
             f"{readings.where}: {number} of {len(thickness)} readings are through up to "
             f"{thickness.max():g} m of the body, which takes light by its opacity; fit that too "

@@ -16,6 +16,9 @@ Mask = NDArray[np.bool_]
 LARGEST_RADIANS = 3.2
 """Angles that all stay below this are radians: in degrees they would tell nothing."""
 
+LARGEST_THICKNESS_M = 0.05
+"""No light that could be read crosses more skin [m]; millimetres taken for metres are above it."""
+
 _UNIT_TOLERANCE = 1e-3
 
 
@@ -129,6 +132,12 @@ class Readings:
             raise LayerError(
                 f"{self.where}: reading [{first}]: its thickness {thickness[first]:g} m is below "
                 "zero; a way through the body is 0 or longer"
+            )
+        if thickness is not None and (thickness[mask] > LARGEST_THICKNESS_M).any():
+            first = int(np.flatnonzero((thickness > LARGEST_THICKNESS_M) & mask)[0])
+            raise LayerError(
+                f"{self.where}: reading [{first}]: its thickness is {thickness[first]:g} m, which "
+                f"no light crosses; give metres ({thickness[first] / 1000.0:g} if these are mm)"
             )
 
     @property
@@ -255,7 +264,7 @@ def _check_angles(where: str, name: str, angles: FloatArray, largest: float) -> 
         first = int(np.flatnonzero(broken)[0])
         hint = ""
         if name == "theta_r" and np.isfinite(angles[first]):
-            hint = " (are light and view exchanged?)"
+            hint = " (are light and view exchanged, or was the camera behind the skin?)"
         raise LayerError(
             f"{where}: reading [{first}]: {name} is {angles[first]:g} degrees, beyond "
             f"{largest:g}{hint}; correct it"
